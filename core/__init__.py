@@ -1,0 +1,1 @@
+"""Pure numerics of dcam: images and numbers in, numbers with covariance out."""

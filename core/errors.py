@@ -1,0 +1,23 @@
+"""Errors of the numerics: each says what was wrong, where, and what to do."""
+
+from __future__ import annotations
+
+
+class CoreError(Exception):
+    """Base of everything that `core` raises on purpose; the message is one line."""
+
+
+class TargetNotFoundError(CoreError):
+    """A target is not in the image, or too little of it to be sure which part it is."""
+
+
+class CalibrationError(CoreError):
+    """The views given cannot make a calibration; the message names the view or what is missing."""
+
+
+class NotObservableError(CalibrationError):
+    """The motions do not determine the model; the message names the motion that is missing."""
+
+
+class ImageError(CoreError):
+    """An array is not a usable greyscale image of the configured size."""

@@ -1,0 +1,92 @@
+"""The typed values that leave the core: flags, reasons, a measurement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum, StrEnum
+
+from core.site import FloatArray
+
+
+class Flag(IntEnum):
+    """QARTOD flags: good, suspect (value given, reason named), bad (withheld), missing."""
+
+    GOOD = 1
+    SUSPECT = 3
+    BAD = 4
+    MISSING = 9
+
+
+class Reason(StrEnum):
+    """Why a row is not good: a closed list, in the order of `frames.csv` to `row`."""
+
+    MAIN_IMAGE_UNREADABLE = "main_image_unreadable"
+    SUB_IMAGE_UNREADABLE = "sub_image_unreadable"
+    MAIN_IMAGE_MISSING = "main_image_missing"
+    SUB_IMAGE_MISSING = "sub_image_missing"
+    TOO_DARK = "too_dark"
+    OVEREXPOSED = "overexposed"
+    MAIN_TARGET_NOT_FOUND = "main_target_not_found"
+    MAIN_TARGET_PARTLY_HIDDEN = "main_target_partly_hidden"
+    MAIN_TARGET_DISTURBED = "main_target_disturbed"
+    SUB_TARGET_NOT_FOUND = "sub_target_not_found"
+    SUB_TARGET_PARTLY_HIDDEN = "sub_target_partly_hidden"
+    SUB_TARGET_DISTURBED = "sub_target_disturbed"
+    BLURRED = "blurred"
+    MOTION_OUT_OF_RANGE = "motion_out_of_range"
+    SIGMA_TOO_LARGE = "sigma_too_large"
+    NOT_SIMULTANEOUS = "not_simultaneous"
+    NO_CALIBRATION = "no_calibration"
+
+
+@dataclass(frozen=True, slots=True)
+class RigMotion:
+    """`T_CSj_CS1`, Eq. 12: the rig at frame j seen from the reference."""
+
+    rotation_rad: FloatArray
+    """(3,) rotation vector of R_j."""
+    translation_mm: FloatArray
+    """(3,) T_j."""
+    covariance: FloatArray
+    """(6, 6) of (rotation_rad, translation_mm)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Displacement:
+    """A displacement of the main target in WM (x right, y up), relative to the reference."""
+
+    mm: FloatArray
+    """(2,) x, y."""
+    covariance_mm2: FloatArray
+    """(2, 2)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnostics:
+    """Figures from the images that let an engineer see how a value came about."""
+
+    discs_found: int = 0
+    corners_used: int = 0
+    main_residual_px: float | None = None
+    """rms of the disc centres about the fitted displacement."""
+    sub_residual_px: float | None = None
+    """rms of the corners about the fitted pose."""
+    main_contrast_dn: float | None = None
+    sub_contrast_dn: float | None = None
+    main_blur_px: float | None = None
+    sub_blur_px: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """One frame pair, measured: what a row of the database says of it."""
+
+    flag: Flag
+    reasons: tuple[Reason, ...]
+    corrected: Displacement | None
+    """None when flag is BAD or MISSING."""
+    raw: Displacement | None
+    """The main camera alone; given whenever the main target was found."""
+    motion: RigMotion | None
+    """Given whenever the sub target was found."""
+    diagnostics: Diagnostics = field(default_factory=Diagnostics)

@@ -1,0 +1,83 @@
+"""What a surveyor knows of a site: cameras, targets and the rig as drawn, with their priors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class CameraGeometry:
+    """Nominal geometry of one camera."""
+
+    width_px: int
+    height_px: int
+    pixel_pitch_um: float
+    focal_length_mm: float
+
+    @property
+    def focal_px(self) -> float:
+        """Nominal focal length in pixels, f / pitch."""
+        return self.focal_length_mm * 1000.0 / self.pixel_pitch_um
+
+
+@dataclass(frozen=True, slots=True)
+class CirclesTarget:
+    """White discs on black; centres in WM (x right, y up as the main camera sees it)."""
+
+    centres_mm: FloatArray
+    """(n, 2) disc centres, mm."""
+    diameters_mm: FloatArray
+    """(n,) disc diameters, mm."""
+    distance_mm: float
+    distance_sigma_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class CheckerboardTarget:
+    """A checkerboard; the square at the WS origin (top left in the sub image) is black."""
+
+    squares_x: int
+    squares_y: int
+    square_mm: float
+    distance_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class RigPrior:
+    """`T_CM_CS` as drawn: X_CM = R X_CS + t, with 1-sigma tolerances."""
+
+    rotation_main_sub_deg: FloatArray
+    """(3,) xyz Euler angles, extrinsic, degrees."""
+    rotation_sigma_deg: float
+    offset_main_sub_mm: FloatArray
+    """(3,) t_CM_CS, mm."""
+    offset_sigma_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class QualityLimits:
+    """What a row must hold to be called good, and the drift that a calibration must carry."""
+
+    expected_drift_mrad: float = 1.0
+    expected_drift_mm: float = 1.5
+    max_sigma_mm: float = 0.5
+    """A corrected displacement with a larger sigma is suspect."""
+    max_skew_ms: float = 20.0
+    """A pair taken further apart is suspect."""
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """One dual-camera site."""
+
+    main: CameraGeometry
+    sub: CameraGeometry
+    main_target: CirclesTarget
+    sub_target: CheckerboardTarget
+    rig: RigPrior
+    quality: QualityLimits

@@ -1,0 +1,1 @@
+"""The field software: schedule, pipeline, store, recovery and commands."""

@@ -1,0 +1,1 @@
+"""One module a `dcam-ctl` command."""

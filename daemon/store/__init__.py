@@ -1,0 +1,1 @@
+"""Where measurements and frames are kept."""

@@ -1,0 +1,1 @@
+"""Cameras, pan-tilt heads, clocks, replayed and simulated, behind small Protocols."""

@@ -1,0 +1,45 @@
+"""Errors of devices: each says which device, what happened, and what to do, in one line."""
+
+from __future__ import annotations
+
+from drivers.protocols import Role
+
+
+class DriverError(Exception):
+    """Base of everything that `drivers` raises on purpose; the message is one line."""
+
+
+class DeviceError(DriverError):
+    """A camera could not give a frame this time."""
+
+    def __init__(self, message: str, role: Role | None = None) -> None:
+        super().__init__(message)
+        self.role = role
+
+
+class DeviceLostError(DeviceError):
+    """The camera is gone: the object must be closed and opened anew."""
+
+
+class FrameTimeoutError(DeviceError):
+    """No frame came within the deadline."""
+
+
+class IncompleteFrameError(DeviceError):
+    """A frame came with pixels missing and was refused."""
+
+
+class SettingRefusedError(DeviceError):
+    """A configured value is outside what the camera accepts, or did not read back."""
+
+
+class HeadError(DriverError):
+    """The pan-tilt head did not do as told; it has been halted."""
+
+
+class FrameSetError(DriverError):
+    """A frame set on disk is damaged or incomplete: which row or file, and what to do."""
+
+
+class MissingLibraryError(DriverError):
+    """The library a backend needs is not installed; the message says how to install it."""

@@ -1,0 +1,128 @@
+"""The small faces behind which hardware, replayed files and the simulated rig are alike."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Role = Literal["main", "sub"]
+Image = NDArray[np.uint8] | NDArray[np.uint16]
+
+
+@dataclass(frozen=True, slots=True)
+class CapturedFrame:
+    """One complete frame as the camera gave it."""
+
+    pixels: Image
+    """(height, width) greyscale, uint8 or uint16."""
+    bits: int
+    """Significant bits of a pixel: 8 to 16; a saturated pixel is 2**bits - 1."""
+    frame_id: int
+    """The camera's own frame counter."""
+    camera_time_ns: int
+    """The camera's own clock; comparable within one camera only."""
+    trigger_monotonic_s: float
+    """Host monotonic time at which the trigger command went out."""
+    exposure_us: float | None = None
+    gain_db: float | None = None
+    temperature_c: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CapturedPair:
+    """Two frames of one slot."""
+
+    main: CapturedFrame
+    sub: CapturedFrame
+    skew_s: float
+    """Sub trigger minus main trigger, host clock, s."""
+
+
+class Camera(Protocol):
+    """A camera that takes one frame at a software trigger.
+
+    Every call returns or raises a `drivers.errors.DeviceError` within its deadline.
+    After a `DeviceLostError` the object is closed and `open` starts anew.
+    """
+
+    @property
+    def serial(self) -> str:
+        """The serial number the camera is selected by."""
+        ...
+
+    def open(self) -> None:
+        """Find the camera by serial, apply the settings, read them back, start acquisition."""
+        ...
+
+    def arm(self) -> None:
+        """Throw away stale frames, so that the next frame is the one triggered next."""
+        ...
+
+    def trigger(self) -> None:
+        """Send the software trigger."""
+        ...
+
+    def fetch(self, timeout_s: float) -> CapturedFrame:
+        """Give the triggered frame; an incomplete frame is refused."""
+        ...
+
+    def close(self) -> None:
+        """Release the device; safe to call at any time, more than once."""
+        ...
+
+
+class FramePairSource(Protocol):
+    """Whatever can give one frame pair for a slot."""
+
+    def capture(self, slot_utc: datetime) -> CapturedPair:
+        """Take both frames of a slot.
+
+        Raises `drivers.errors.DeviceError` (its `role` tells which camera) when a frame cannot
+        be had; the next call tries again, opening the lost device anew.
+        """
+        ...
+
+    def close(self) -> None:
+        """Release both cameras."""
+        ...
+
+
+class PanTiltHead(Protocol):
+    """A two-axis head; angles in degrees from its own zero."""
+
+    def move_to(self, pan_deg: float, tilt_deg: float) -> None:
+        """Move and wait until there. Raises `drivers.errors.HeadError` on limit or time-out."""
+        ...
+
+    def position_deg(self) -> tuple[float, float] | None:
+        """Pan and tilt as the head reports them; None for a head without feedback."""
+        ...
+
+    def halt(self) -> None:
+        """Stop all motion at once."""
+        ...
+
+    def close(self) -> None:
+        """Halt and release the port."""
+        ...
+
+
+class Clock(Protocol):
+    """Where time comes from: UTC to identify, monotonic to wait."""
+
+    def now_utc(self) -> datetime:
+        """The present, timezone-aware UTC."""
+        ...
+
+    def monotonic_s(self) -> float:
+        """Seconds that never step."""
+        ...
+
+    def wait_until(self, when_utc: datetime, stop: threading.Event) -> bool:
+        """Wait for a wall-clock time; False if `stop` was set before."""
+        ...

@@ -1,0 +1,1 @@
+"""The simulated rig: one world, two rendered cameras, a head that moves it."""
