@@ -12,6 +12,28 @@ from numpy.typing import NDArray
 
 Role = Literal["main", "sub"]
 Image = NDArray[np.uint8] | NDArray[np.uint16]
+PixelFormat = Literal["Mono8", "Mono10", "Mono12", "Mono16"]
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSettings:
+    """What the config asks of one camera; the camera's own memory never overrides it."""
+
+    width_px: int
+    height_px: int
+    """Size of the image; smaller than the sensor means its middle part."""
+    exposure_us: float | None = None
+    """None: 5 ms, or the nearest the camera allows."""
+    gain_db: float | None = None
+    """None: the lowest the camera has, which is the least noise."""
+    pixel_format: PixelFormat = "Mono8"
+    """GenICam name; more than 8 bits come unpacked, 16 bits a pixel."""
+    packet_size_bytes: int | None = None
+    """GigE Vision stream packet; None: the largest the network is found to carry."""
+    open_timeout_s: float = 15.0
+    """Deadline of `Camera.open`."""
+    command_timeout_s: float = 4.0
+    """Deadline of `arm`, `trigger` and `close`, each."""
 
 
 @dataclass(frozen=True, slots=True)
