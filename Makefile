@@ -1,0 +1,50 @@
+# dcam: `make demo`, `make test`, `make check`, `make bench`, `make clean`.
+# Each makes .venv here and installs what it needs; a second run finds it all in place.
+# Another Python (3.11 or newer): make PYTHON=/path/to/python3 test
+
+PYTHON ?= /usr/bin/python3
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.stamp-installed
+
+.DELETE_ON_ERROR:
+.PHONY: help demo test check bench clean
+
+help:
+	@echo "make demo    calibrate, measure 60 slots and more, and compare with the truth: out/demo"
+	@echo "make test    run the tests"
+	@echo "make check   lint, types, import contracts"
+	@echo "make bench   measure time and memory: docs/benchmarks.md"
+	@echo "make clean   remove .venv and everything made here"
+
+demo: $(INSTALLED)
+	$(BIN)/dcam-ctl demo --output out/demo
+
+test: $(INSTALLED)
+	$(BIN)/python -m pytest
+
+check: $(INSTALLED)
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
+
+bench: $(INSTALLED)
+	$(BIN)/python -m benchmarks --output docs/benchmarks.md
+
+clean:
+	rm -rf $(VENV) out dist build .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+
+# Debian's own Python packages must be seen: the camera library (Aravis) comes with python3-gi only.
+$(VENV)/.stamp-venv:
+	@sh .ci/system-packages $(PYTHON)
+	$(PYTHON) -m venv --system-site-packages $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
+	@touch $@
+
+# The `aravis` extra is for other systems: here PyGObject is Debian's, which pip would not accept
+# without compiling pycairo.
+$(INSTALLED): pyproject.toml $(VENV)/.stamp-venv
+	@sh .ci/system-packages $(PYTHON)
+	$(BIN)/python -m pip install --quiet --editable ".[plot]" --group dev
+	@touch $@

@@ -1,0 +1,1 @@
+"""Database migrations (Alembic); they import none of our code."""
