@@ -1,0 +1,142 @@
+"""The house holds: the layers are kept and can be broken, the core is pure, the wheel is whole."""
+
+import ast
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("core", "daemon", "drivers", "migrations")
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+CORE_MAY_IMPORT = {
+    *("__future__", "collections", "dataclasses", "enum", "functools", "itertools", "math"),
+    *("operator", "types", "typing"),
+    *("core", "cv2", "numba", "numpy", "scipy"),
+}
+"""Numerics and the standard library's data types; nothing with a clock, a file or a state."""
+
+CORE_MAY_NOT_CALL = {
+    *("cv2.imread", "cv2.imreadmulti", "cv2.imwrite", "cv2.VideoCapture", "cv2.FileStorage"),
+    *("cv2.imshow", "cv2.setRNGSeed", "cv2.setNumThreads"),
+    *("np.load", "np.loadtxt", "np.genfromtxt", "np.fromfile", "np.save", "np.savez", "np.savetxt"),
+    *("np.random.seed", "np.random.default_rng", "np.seterr"),
+    *("open", "print", "input", "exec", "eval", "breakpoint"),
+}
+
+BREAKS = {
+    "layers": ("core/errors.py", "import drivers.errors"),
+    "core-is-pure": ("core/site.py", "import time"),
+    "drivers-are-small": ("drivers/errors.py", "import sqlalchemy"),
+    "migrations-stand-alone": ("migrations/__init__.py", "import daemon.store"),
+}
+"""One forbidden import for each contract."""
+
+
+def python_files(package: str) -> list[Path]:
+    """Every Python file below a top-level folder."""
+    files = sorted((ROOT / package).rglob("*.py"))
+    assert files, f"no code in {package}/"
+    return files
+
+
+def dotted(node: ast.expr) -> str:
+    """`a.b.c` of an attribute chain, else an empty string."""
+    parts: list[str] = []
+    while isinstance(node, ast.Attribute):
+        parts.append(node.attr)
+        node = node.value
+    return ".".join([node.id, *reversed(parts)]) if isinstance(node, ast.Name) else ""
+
+
+def lint_imports(directory: Path) -> subprocess.CompletedProcess[str]:
+    command = "import sys; from importlinter.cli import lint_imports as run; sys.exit(run())"
+    return subprocess.run(
+        [sys.executable, "-c", command], cwd=directory, capture_output=True, text=True, check=False
+    )
+
+
+def test_import_contracts_are_kept() -> None:
+    """What `make check` says, said here too, so that `make test` alone is enough."""
+    result = lint_imports(ROOT)
+    assert result.returncode == 0, result.stdout
+
+
+def test_every_import_contract_can_break(tmp_path: Path) -> None:
+    """A contract that cannot fail is worth nothing."""
+    contracts = PYPROJECT["tool"]["importlinter"]["contracts"]
+    assert {contract["id"] for contract in contracts} == set(BREAKS)
+    for package in PACKAGES:
+        shutil.copytree(
+            ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__")
+        )
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    for file, line in BREAKS.values():
+        with (tmp_path / file).open("a") as code:
+            code.write(f"\n{line}\n")
+
+    result = lint_imports(tmp_path)
+
+    assert result.returncode == 1, result.stderr
+    report = " ".join(result.stdout.split())
+    for contract in contracts:
+        assert f"{contract['name']} BROKEN" in report
+
+
+@pytest.mark.parametrize("path", python_files("core"), ids=lambda path: path.name)
+def test_core_imports_numerics_and_data_types_only(path: Path) -> None:
+    imported = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            imported.add((node.module or "").partition(".")[0])
+    assert imported <= CORE_MAY_IMPORT
+
+
+@pytest.mark.parametrize("path", python_files("core"), ids=lambda path: path.name)
+def test_core_reads_no_file_and_keeps_no_state(path: Path) -> None:
+    tree = ast.parse(path.read_text())
+    used = {dotted(node) for node in ast.walk(tree) if isinstance(node, (ast.Attribute, ast.Name))}
+    assert not used & CORE_MAY_NOT_CALL
+    assert not [node for node in ast.walk(tree) if isinstance(node, ast.Global)]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
+    """The wheel as a user would get it."""
+    directory = tmp_path_factory.mktemp("wheel")
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(directory)],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+    )
+    (path,) = directory.glob("dcam-*.whl")
+    return zipfile.ZipFile(path)
+
+
+def test_wheel_has_our_packages_and_no_other(wheel: zipfile.ZipFile) -> None:
+    """The names are generic: nothing else may slip in and shadow a site's own packages."""
+    folders = {name.partition("/")[0] for name in wheel.namelist()}
+    assert {name for name in folders if not name.endswith(".dist-info")} == set(PACKAGES)
+
+
+def test_wheel_has_every_module_and_migration(wheel: zipfile.ZipFile) -> None:
+    names = set(wheel.namelist())
+    for package in PACKAGES:
+        for path in python_files(package):
+            assert path.relative_to(ROOT).as_posix() in names
+    assert any(name.startswith("migrations/versions/0") for name in names)
+
+
+def test_wheel_gives_both_programs(wheel: zipfile.ZipFile) -> None:
+    (entry_points,) = [name for name in wheel.namelist() if name.endswith("entry_points.txt")]
+    text = wheel.read(entry_points).decode()
+    assert "dcamd = daemon.main:main" in text
+    assert "dcam-ctl = daemon.ctl:main" in text
