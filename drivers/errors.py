@@ -41,5 +41,9 @@ class FrameSetError(DriverError):
     """A frame set on disk is damaged or incomplete: which row or file, and what to do."""
 
 
+class ImageMissingError(FrameSetError):
+    """An image that the table of a frame set names is not there."""
+
+
 class MissingLibraryError(DriverError):
     """The library a backend needs is not installed; the message says how to install it."""

@@ -1,0 +1,292 @@
+"""Frame sets: a directory of lossless greyscale PNG images and their table, `frames.csv`.
+
+Whatever is damaged in one gives a `FrameSetError` of one line: what, where, what to do.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from pathlib import Path, PurePosixPath
+from types import MappingProxyType
+from typing import Literal, cast, get_args
+
+from core.frames import GreyImage
+from drivers.errors import FrameSetError, ImageMissingError
+from drivers.png import decode_png, encode_png
+
+__all__ = [
+    "COLUMNS",
+    "HEADER",
+    "TABLE",
+    "FrameRole",
+    "FrameSet",
+    "FrameSetRow",
+    "encode_png",
+    "format_header",
+    "format_row",
+    "format_slot",
+    "parse_slot",
+    "read_frame_set",
+    "read_image",
+    "write_table",
+]
+
+FrameRole = Literal["intrinsics", "reference", "rig", "measure"]
+
+TABLE = "frames.csv"
+COLUMNS = ("slot_utc", "role", "main", "sub", "pan_deg", "tilt_deg")
+HEADER = ",".join(COLUMNS)
+"""First line of a plain `frames.csv`, without its line end."""
+
+_NO_EXTRA: Mapping[str, str] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSetRow:
+    """One row of `frames.csv`: a frame pair, or a lens view."""
+
+    slot_utc: datetime
+    """Timezone-aware UTC, whole seconds."""
+    role: FrameRole
+    main: str | None
+    """File name within the set."""
+    sub: str | None
+    pan_deg: float | None = None
+    tilt_deg: float | None = None
+    extra: Mapping[str, str] = field(default_factory=lambda: _NO_EXTRA)
+    """Columns beyond the standard ones, as text, in the table's order."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSet:
+    """A frame set as its table describes it; the images are read one by one."""
+
+    directory: Path
+    rows: tuple[FrameSetRow, ...]
+
+    def rows_of(self, *roles: FrameRole) -> tuple[FrameSetRow, ...]:
+        """Give the rows of these roles, in time order."""
+        return tuple(row for row in self.rows if row.role in roles)
+
+    def read(self, name: str) -> GreyImage:
+        """Read one image by its name in the table. Raises FrameSetError."""
+        return read_image(self.directory / name)
+
+
+# ---------------------------------------------------------------------------------- the table
+
+
+def read_frame_set(directory: Path) -> FrameSet:
+    """Read a set's table and check it; missing images are found when they are read.
+
+    Raises FrameSetError: no table, missing column, bad time, unknown role, duplicate slot, two
+    references, rows out of order ...; the message names file and line.
+    """
+    path = directory / TABLE
+    if not directory.is_dir():
+        msg = f"{directory}: no such directory; give the directory of a frame set"
+        raise FrameSetError(msg)
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        msg = f"{path}: not there; a frame set needs a table with the columns {HEADER}"
+        raise FrameSetError(msg) from None
+    except UnicodeDecodeError as error:
+        msg = f"{path}: not UTF-8 text at byte {error.start}; restore the file"
+        raise FrameSetError(msg) from None
+    except OSError as error:
+        msg = f"{path}: cannot be read ({error.strerror}); check the file and its permissions"
+        raise FrameSetError(msg) from None
+    return FrameSet(directory, tuple(_checked(path, _parse(path, text))))
+
+
+def _parse(path: Path, text: str) -> Iterator[tuple[int, FrameSetRow]]:
+    """Give the rows with their line numbers."""
+    lines = csv.reader(io.StringIO(text, newline=""), strict=True)
+    try:
+        header = next(lines, None)
+        columns = _columns(path, header)
+        for cells in lines:
+            if not cells:
+                continue
+            where = f"{path}:{lines.line_num}"
+            if len(cells) != len(columns):
+                msg = f"{where}: {len(cells)} fields, the header has {len(columns)}; mend the line"
+                raise FrameSetError(msg)
+            cell = dict(zip(columns, (text.strip() for text in cells), strict=True))
+            try:
+                yield lines.line_num, _row(cell)
+            except ValueError as error:
+                msg = f"{where}: {error}"
+                raise FrameSetError(msg) from None
+    except csv.Error as error:
+        msg = f"{path}:{lines.line_num}: not a CSV line ({error}); mend the line"
+        raise FrameSetError(msg) from None
+
+
+def _columns(path: Path, header: list[str] | None) -> list[str]:
+    if not header:
+        msg = f"{path}: empty; the first line must name the columns {HEADER}"
+        raise FrameSetError(msg)
+    columns = [name.strip() for name in header]
+    for name in COLUMNS:
+        if columns.count(name) != 1:
+            fault = "missing" if name not in columns else "given twice"
+            msg = f"{path}:1: column {name!r} is {fault}; the columns are {HEADER}"
+            raise FrameSetError(msg)
+    return columns
+
+
+def _row(cell: dict[str, str]) -> FrameSetRow:
+    """Convert the text of one line. Raises ValueError: what is wrong and what to do."""
+    role = cell["role"]
+    if role not in get_args(FrameRole):
+        msg = f"unknown role {role!r}; use one of {', '.join(get_args(FrameRole))}"
+        raise ValueError(msg)
+    sub = _file_name(cell["sub"], "sub")
+    if sub is None and role != "measure":
+        msg = f"column 'sub' is empty; a row of role {role} needs a sub-camera image"
+        raise ValueError(msg)
+    return FrameSetRow(
+        slot_utc=parse_slot(cell["slot_utc"]),
+        role=cast("FrameRole", role),
+        main=_file_name(cell["main"], "main"),
+        sub=sub,
+        pan_deg=_angle(cell["pan_deg"], "pan_deg"),
+        tilt_deg=_angle(cell["tilt_deg"], "tilt_deg"),
+        extra=MappingProxyType({k: v for k, v in cell.items() if k not in COLUMNS}),
+    )
+
+
+def _checked(path: Path, rows: Iterable[tuple[int, FrameSetRow]]) -> Iterator[FrameSetRow]:
+    """Pass rows on while slots are unique and in order and there is one reference at most."""
+    line_of: dict[datetime, int] = {}
+    last: datetime | None = None
+    reference: int | None = None
+    for line, row in rows:
+        slot = format_slot(row.slot_utc)
+        if row.slot_utc in line_of:
+            msg = f"{path}:{line}: slot {slot} is already on line {line_of[row.slot_utc]}; drop one"
+            raise FrameSetError(msg)
+        if last is not None and row.slot_utc < last:
+            msg = f"{path}:{line}: slot {slot} is before the row above; put rows in time order"
+            raise FrameSetError(msg)
+        if row.role == "reference":
+            if reference is not None:
+                msg = (
+                    f"{path}:{line}: second reference, the first is on line {reference}; "
+                    "keep one and make the other a 'rig' row"
+                )
+                raise FrameSetError(msg)
+            reference = line
+        line_of[row.slot_utc] = line
+        last = row.slot_utc
+        yield row
+
+
+def parse_slot(text: str) -> datetime:
+    """Read a slot such as `2026-03-01T00:00:00Z`. Raises ValueError: what is wrong."""
+    try:
+        when = datetime.fromisoformat(text)
+    except ValueError:
+        when = None
+    if when is None or when.utcoffset() != timedelta(0) or when.microsecond:
+        msg = (
+            f"bad time {text!r} in column 'slot_utc'; "
+            "write UTC to whole seconds, e.g. 2026-03-01T00:00:00Z"
+        )
+        raise ValueError(msg)
+    return when.astimezone(UTC)
+
+
+def format_slot(slot_utc: datetime) -> str:
+    """Write a slot as `2026-03-01T00:00:00Z`."""
+    return slot_utc.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def _file_name(text: str, column: str) -> str | None:
+    path = PurePosixPath(text)
+    if path.is_absolute() or ".." in path.parts or "\0" in text:
+        msg = f"file name {text!r} in column {column!r} leads out of the set; name a file within it"
+        raise ValueError(msg)
+    return text or None
+
+
+def _angle(text: str, column: str) -> float | None:
+    if not text:
+        return None
+    try:
+        angle_deg = float(text)
+    except ValueError:
+        angle_deg = math.nan
+    if not math.isfinite(angle_deg):
+        msg = f"bad angle {text!r} in column {column!r}; write degrees or leave it empty"
+        raise ValueError(msg)
+    return angle_deg
+
+
+def format_row(row: FrameSetRow) -> str:
+    """Write one line of `frames.csv`, without its line end: `COLUMNS`, then the extra values."""
+    cells = [format_slot(row.slot_utc), row.role, row.main or "", row.sub or ""]
+    cells += ["" if angle is None else repr(angle) for angle in (row.pan_deg, row.tilt_deg)]
+    return _csv_line([*cells, *row.extra.values()])
+
+
+def format_header(extra_columns: Iterable[str] = ()) -> str:
+    """Write the header line, without its line end, of a table with extra columns."""
+    return _csv_line([*COLUMNS, *extra_columns])
+
+
+def _csv_line(cells: Iterable[str]) -> str:
+    line = io.StringIO()
+    csv.writer(line, lineterminator="").writerow(cells)
+    return line.getvalue()
+
+
+def write_table(directory: Path, rows: Iterable[FrameSetRow]) -> None:
+    """Write a whole `frames.csv`, replacing any old one in a single step, durably.
+
+    All rows must have the same extra columns.
+    """
+    rows = list(rows)
+    lines = [format_header(rows[0].extra if rows else ()), *map(format_row, rows)]
+    temporary = directory / f".{TABLE}.tmp"
+    with temporary.open("w", encoding="utf-8", newline="") as file:
+        file.write("\n".join(lines) + "\n")
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(directory / TABLE)
+    descriptor = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+# ---------------------------------------------------------------------------------- the images
+
+
+def read_image(path: Path) -> GreyImage:
+    """Read an 8- or 16-bit greyscale PNG, whole and undamaged or not at all.
+
+    Raises FrameSetError (ImageMissingError when the file is not there).
+    """
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        msg = f"{path}: not there; restore the image or drop its row from {TABLE}"
+        raise ImageMissingError(msg) from None
+    except OSError as error:
+        msg = f"{path}: cannot be read ({error.strerror}); check the file and its permissions"
+        raise FrameSetError(msg) from None
+    try:
+        return decode_png(data)
+    except ValueError as error:
+        msg = f"{path}: {error}"
+        raise FrameSetError(msg) from None
