@@ -1,4 +1,4 @@
-"""The config file `dcam.toml`: read, checked, and converted once into the types of the layers below.
+"""The config file `dcam.toml`: read, checked, and converted once into the layers' own types.
 
 Every key carries its unit in its name. What a key is for stands in `config.example.toml`.
 """
@@ -37,6 +37,7 @@ from core.site import (
 from daemon.config_problems import describe_problems
 from daemon.errors import ConfigError
 from daemon.plausibility import implausible_values
+from drivers.protocols import PixelFormat
 
 DEFAULT_CONFIG_PATH = Path("/etc/dcam/dcam.toml")
 DEFAULT_STATE_DIRECTORY = Path("/var/lib/dcam")
@@ -80,6 +81,8 @@ class CameraSection(Section):
     height_px: int = Field(ge=64, le=65536)
     pixel_pitch_um: float = Field(ge=0.5, le=100.0)
     focal_length_mm: float = Field(ge=1.0, le=20_000.0)
+    pixel_format: PixelFormat = "Mono8"
+    packet_size_bytes: int | None = Field(default=None, ge=576, le=16_384)
 
     def geometry(self) -> CameraGeometry:
         """Convert to the core's type."""
@@ -184,12 +187,12 @@ class ScheduleSection(Section):
 
 
 class ExposureSection(Section):
-    """`[exposure]`: fixed exposure and gain of each camera."""
+    """`[exposure]`: fixed exposure and gain of each camera; no gain means the camera's lowest."""
 
-    main_us: float = Field(default=2000.0, ge=1.0, le=1e7)
-    sub_us: float = Field(default=2000.0, ge=1.0, le=1e7)
-    main_gain_db: float = Field(default=0.0, ge=0.0, le=60.0)
-    sub_gain_db: float = Field(default=0.0, ge=0.0, le=60.0)
+    main_us: float = Field(default=5000.0, ge=1.0, le=1e7)
+    sub_us: float = Field(default=5000.0, ge=1.0, le=1e7)
+    main_gain_db: float | None = Field(default=None, ge=0.0, le=60.0)
+    sub_gain_db: float | None = Field(default=None, ge=0.0, le=60.0)
 
 
 class TriggerSection(Section):

@@ -137,6 +137,6 @@ def run(command: click.Command, program: str, arguments: Sequence[str] | None = 
         # The reader (`| head`) went away; the interpreter must not complain of it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return ExitCode.FAILED
-    except (Exception, KeyboardInterrupt) as error:
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - the last place to say it
         return report(error, program, debug="--debug" in argv)
     return result if isinstance(result, int) else ExitCode.DONE

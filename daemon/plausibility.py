@@ -14,78 +14,86 @@ _MIN_SQUARE_PX = 4.0
 
 def implausible_values(site: Site) -> list[str]:
     """Name keys whose values do not fit the others, each with the likely mistake."""
-    problems = [
-        *_distance("main", site.main, site.main_target.distance_mm),
-        *_distance("sub", site.sub, site.sub_target.distance_mm),
-        *_radians(site.rig),
-    ]
-    # Image sizes say nothing as long as the distance itself is wrong.
-    return problems or [
-        *_circles(site.main, site.main_target),
-        *_board(site.sub, site.sub_target),
-    ]
+    problems = (
+        _distance("main", site.main, site.main_target.distance_mm),
+        _distance("sub", site.sub, site.sub_target.distance_mm),
+        _radians(site.rig),
+    )
+    if not any(problems):
+        # Image sizes say nothing as long as the distance itself is wrong.
+        problems = (
+            _layout(site.main_target),
+            _disc_size(site.main, site.main_target),
+            _square_size(site.sub, site.sub_target),
+        )
+    return [problem for problem in problems if problem]
 
 
-def _distance(which: str, camera: CameraGeometry, distance_mm: float) -> list[str]:
+def _distance(which: str, camera: CameraGeometry, distance_mm: float) -> str | None:
     """A lens makes an image only of what is further away than its focal length."""
     if distance_mm > camera.focal_length_mm:
-        return []
-    return [
+        return None
+    return (
         f"target.{which}.distance_mm: {distance_mm:g} mm is nearer than the focal length of "
         f"{camera.focal_length_mm:g} mm; is this in metres?"
-    ]
+    )
 
 
-def _radians(rig: RigPrior) -> list[str]:
+def _radians(rig: RigPrior) -> str | None:
     turns = np.abs(rig.rotation_main_sub_deg)
     near = np.isclose(turns, math.pi, atol=2e-3) | np.isclose(turns, math.pi / 2, atol=2e-3)
     if not near.any():
-        return []
+        return None
     values = rig.rotation_main_sub_deg.tolist()
-    return [f"rig.rotation_main_sub_deg: {values} looks like radians; write degrees"]
+    return f"rig.rotation_main_sub_deg: {values} looks like radians; write degrees"
 
 
-def _circles(camera: CameraGeometry, target: CirclesTarget) -> list[str]:
-    centres, diameters = target.centres_mm, target.diameters_mm
-    px_per_mm = camera.focal_px / target.distance_mm
-    seen = (
-        f"(focal_length_mm {camera.focal_length_mm:g}, pixel_pitch_um {camera.pixel_pitch_um:g}, "
-        f"distance_mm {target.distance_mm:g})"
-    )
-    extent_px = float(np.ptp(centres, axis=0).max()) * px_per_mm
-    image_px = max(camera.width_px, camera.height_px)
+def _layout(target: CirclesTarget) -> str | None:
+    centres, radii = target.centres_mm, target.diameters_mm / 2
     gaps = np.linalg.norm(centres[:, None] - centres[None, :], axis=2)
-    touching = gaps < (diameters[:, None] + diameters[None, :]) / 2
-    first, second = (np.argwhere(np.triu(touching, 1)).tolist() or [(None, None)])[0]
-    if first is not None:
-        return [
-            f"target.main.centres_mm: discs {first + 1} and {second + 1} overlap with the given "
+    overlaps = np.argwhere(np.triu(gaps < radii[:, None] + radii[None, :], 1))
+    if len(overlaps):
+        first, second = overlaps[0] + 1
+        return (
+            f"target.main.centres_mm: discs {first} and {second} overlap with the given "
             "diameter_mm; are both in mm?"
-        ]
+        )
     if np.linalg.matrix_rank(centres - centres.mean(axis=0), tol=1e-6) < 2:
-        return ["target.main.centres_mm: all discs lie on one line; at least one must be off it"]
-    if diameters.min() * px_per_mm < _MIN_DISC_PX:
-        return [
-            f"target.main.diameter_mm: a disc of {diameters.min():g} mm would be "
-            f"{diameters.min() * px_per_mm:.2g} px across {seen}; is every unit right?"
-        ]
-    if extent_px > image_px:
-        return [
-            f"target.main.centres_mm: the target would be {extent_px:.0f} px wide in an image of "
-            f"{image_px} px {seen}; is every unit right?"
-        ]
-    return []
+        return "target.main.centres_mm: all discs lie on one line; at least one must be off it"
+    return None
 
 
-def _board(camera: CameraGeometry, target: CheckerboardTarget) -> list[str]:
+def _disc_size(camera: CameraGeometry, target: CirclesTarget) -> str | None:
+    px_per_mm = camera.focal_px / target.distance_mm
+    smallest_px = float(target.diameters_mm.min()) * px_per_mm
+    extent_px = float(np.ptp(target.centres_mm, axis=0).max()) * px_per_mm
+    image_px = max(camera.width_px, camera.height_px)
+    if smallest_px < _MIN_DISC_PX:
+        problem = f"diameter_mm: the smallest disc would be {smallest_px:.2g} px across"
+    elif extent_px > image_px:
+        problem = (
+            f"centres_mm: the target would be {extent_px:.0f} px wide in an image of {image_px} px"
+        )
+    else:
+        return None
+    return f"target.main.{problem} ({_optics(camera, target.distance_mm)}); is every unit right?"
+
+
+def _square_size(camera: CameraGeometry, target: CheckerboardTarget) -> str | None:
     square_px = target.square_mm * camera.focal_px / target.distance_mm
     # At least four squares must be in view, or the pose has nothing to hold on to.
     largest_px = min(camera.width_px, camera.height_px) / 4
     if _MIN_SQUARE_PX <= square_px <= largest_px:
-        return []
-    return [
-        f"target.sub.square_mm: a square of {target.square_mm:g} mm would be {square_px:.2g} px "
-        f"wide (focal_length_mm {camera.focal_length_mm:g}, pixel_pitch_um "
-        f"{camera.pixel_pitch_um:g}, distance_mm {target.distance_mm:g}), usable are "
-        f"{_MIN_SQUARE_PX:g} to {largest_px:.0f} px; is every unit right?"
-    ]
+        return None
+    return (
+        f"target.sub.square_mm: a square would be {square_px:.2g} px wide, usable are "
+        f"{_MIN_SQUARE_PX:g} to {largest_px:.0f} px ({_optics(camera, target.distance_mm)}); "
+        "is every unit right?"
+    )
+
+
+def _optics(camera: CameraGeometry, distance_mm: float) -> str:
+    return (
+        f"focal_length_mm {camera.focal_length_mm:g}, pixel_pitch_um {camera.pixel_pitch_um:g}, "
+        f"distance_mm {distance_mm:g}"
+    )
