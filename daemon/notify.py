@@ -1,0 +1,48 @@
+"""What systemd is told: ready, status, stopping (sd_notify(3)), without a library for it."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Mapping
+
+
+class Notifier:
+    """Sends states to the service manager; without one it does nothing.
+
+    A service manager that does not listen must never stop a measurement, so errors of the
+    socket are dropped: systemd notices by itself what it has not been told.
+    """
+
+    def __init__(self, address: str | None) -> None:
+        self._address = address
+
+    @classmethod
+    def from_environment(cls, environ: Mapping[str, str] = os.environ) -> Notifier:
+        """Take the address from NOTIFY_SOCKET."""
+        return cls(environ.get("NOTIFY_SOCKET") or None)
+
+    def ready(self) -> None:
+        """Start-up is over: the next slot will be taken."""
+        self._send("READY=1")
+
+    def stopping(self) -> None:
+        """The daemon ends its slot and closes."""
+        self._send("STOPPING=1")
+
+    def status(self, text: str) -> None:
+        """Set the line that `systemctl status` shows."""
+        self._send(f"STATUS={' '.join(text.split())}")
+
+    def _send(self, state: str) -> None:
+        if self._address is None:
+            return
+        # An address that begins with @ is abstract: in the kernel a NUL stands for it.
+        abstract = self._address.startswith("@")
+        address = f"\0{self._address[1:]}" if abstract else self._address
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
+            channel.setblocking(False)
+            try:
+                channel.sendto(state.encode(), address)
+            except OSError:
+                return
