@@ -1,0 +1,153 @@
+"""The main target: discs found in an image, named by their layout, located to sub-pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+
+from core.blobs import Blobs, find_blobs
+from core.errors import TargetNotFoundError
+from core.frames import GreyImage
+from core.photometric import as_float, locate_discs
+from core.site import CirclesTarget, FloatArray
+
+MIN_DISCS = 3
+_MAX_ROLL_DEG = 50.0
+_RADIUS_TOLERANCE = 0.25
+_PLACE_TOLERANCE = 0.12  # of the target's size
+_MIN_CLEAN = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Discs:
+    """The target's discs in one image."""
+
+    found: FloatArray
+    """(n,) bool, in the order of the target's centres."""
+    points_px: FloatArray
+    """(n, 2), NaN where not found."""
+    covariance_px2: FloatArray
+    """(n, 2, 2), NaN where not found."""
+    clean: FloatArray
+    """(n,) share of each outline's pixels that look like a disc's."""
+    contrast_dn: float
+    blur_px: float
+
+
+def find_discs(
+    image: GreyImage,
+    target: CirclesTarget,
+    expected_px_per_mm: float | None = None,
+    expected_px: FloatArray | None = None,
+) -> Discs:
+    """Find the main target in an image.
+
+    At least three discs are needed. expected_px_per_mm, where known, refuses other sizes (by a
+    factor of two); expected_px (n, 2) are the discs' predicted places, which decide between
+    layouts that look alike. The camera is upright to within 50 degrees.
+    Raises TargetNotFoundError.
+    """
+    grey = as_float(image)
+    blobs = find_blobs(grey)
+    names = _name(blobs, target, expected_px_per_mm, expected_px)
+    if len(names) < MIN_DISCS:
+        msg = (
+            f"main target: {len(names)} of {len(target.centres_mm)} discs found "
+            f"({len(blobs.points_px)} round bright spots in the image), {MIN_DISCS} are needed"
+        )
+        raise TargetNotFoundError(msg)
+    which = np.array([disc for disc, _ in names])
+    at = np.array([blob for _, blob in names])
+    fits = locate_discs(grey, image.saturation_dn, blobs.points_px[at], blobs.outline_px[at])
+    good = fits.usable & (fits.clean > _MIN_CLEAN)
+    good &= fits.contrast_dn > 4.0 * fits.noise_dn / np.sqrt(10.0)
+    n = len(target.centres_mm)
+    found = np.zeros(n, dtype=bool)
+    points, covariance, clean = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan), np.zeros(n)
+    found[which[good]] = True
+    points[which[good]] = fits.points_px[good]
+    covariance[which[good]] = fits.covariance_px2[good]
+    clean[which] = fits.clean
+    if found.sum() < MIN_DISCS:
+        msg = f"main target: only {int(found.sum())} of {n} discs are clear enough to measure"
+        raise TargetNotFoundError(msg)
+    return Discs(
+        found,
+        points,
+        covariance,
+        clean,
+        float(np.median(fits.contrast_dn[good])),
+        float(np.median(fits.blur_px[good])),
+    )
+
+
+def _name(
+    blobs: Blobs,
+    target: CirclesTarget,
+    expected_px_per_mm: float | None,
+    expected_px: FloatArray | None,
+) -> list[tuple[int, int]]:
+    """Pairs (disc, blob) of the layout that explains most blobs best."""
+    layout = target.centres_mm * np.array([1.0, -1.0])  # y up to y down
+    radii = target.diameters_mm / 2.0
+    best: list[tuple[int, int]] = []
+    best_cost = np.inf
+    for scale_rotation, shift in _hypotheses(blobs, layout, radii, expected_px_per_mm):
+        names, cost = _match(blobs, layout, radii, scale_rotation, shift)
+        if len(names) < max(MIN_DISCS, len(best)):
+            continue
+        if expected_px is not None:
+            away = [np.hypot(*(blobs.points_px[b] - expected_px[d])) for d, b in names]
+            cost += float(np.mean(away)) / 1000.0
+        if len(names) > len(best) or cost < best_cost:
+            best, best_cost = names, cost
+    return best
+
+
+def _hypotheses(
+    blobs: Blobs, layout: FloatArray, radii: FloatArray, expected_px_per_mm: float | None
+) -> list[tuple[complex, complex]]:
+    """Similarities z -> s z + t taking two discs to two blobs of fitting size and roll."""
+    place = layout[:, 0] + 1j * layout[:, 1]
+    spots = blobs.points_px[:, 0] + 1j * blobs.points_px[:, 1]
+    blob_radii = blobs.radius_px
+    a, b = np.array(list(permutations(range(len(spots)), 2))).reshape(-1, 2).T
+    hypotheses = []
+    for i in range(len(place)):
+        for j in range(i + 1, len(place)):
+            factor = (spots[b] - spots[a]) / (place[j] - place[i])
+            size = np.abs(factor)
+            fits = np.abs(np.angle(factor)) < np.radians(_MAX_ROLL_DEG)
+            for blob, disc in ((a, i), (b, j)):
+                fits &= np.abs(np.log(blob_radii[blob] / (size * radii[disc]))) < _RADIUS_TOLERANCE
+            if expected_px_per_mm is not None:
+                fits &= np.abs(np.log(size / expected_px_per_mm)) < np.log(2.0)
+            hypotheses += [
+                (complex(factor[k]), complex(spots[a[k]] - factor[k] * place[i]))
+                for k in np.nonzero(fits)[0]
+            ]
+    return hypotheses
+
+
+def _match(
+    blobs: Blobs, layout: FloatArray, radii: FloatArray, factor: complex, shift: complex
+) -> tuple[list[tuple[int, int]], float]:
+    """Blobs nearest to the places of a layout, and their mean squared miss relative to its size."""
+    place = factor * (layout[:, 0] + 1j * layout[:, 1]) + shift
+    spots = blobs.points_px[:, 0] + 1j * blobs.points_px[:, 1]
+    miss = np.abs(place[:, None] - spots[None, :])
+    size = abs(factor)
+    extent = size * float(np.ptp(layout, axis=0).max())
+    wrong_size = np.abs(np.log(blobs.radius_px[None, :] / (size * radii[:, None])))
+    relative = miss / (_PLACE_TOLERANCE * extent) + wrong_size
+    relative[(miss > _PLACE_TOLERANCE * extent) | (wrong_size > _RADIUS_TOLERANCE)] = np.inf
+    names, cost, taken = [], 0.0, set()
+    for disc in range(len(place)):
+        blob = int(np.argmin(relative[disc]))
+        if np.isfinite(relative[disc, blob]) and blob not in taken:
+            names.append((disc, blob))
+            taken.add(blob)
+            cost += float(relative[disc, blob]) ** 2
+    return names, cost / max(len(names), 1)

@@ -1,0 +1,248 @@
+"""Saddle points joined into the lattice of a checkerboard, and the lattice named."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from core.board import Board
+from core.errors import TargetNotFoundError
+from core.saddles import Saddles
+from core.site import FloatArray
+
+_NEIGHBOURS = 13
+_MIN_CORNERS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Lattice:
+    """Corners with lattice coordinates (i to the right, j down), known up to a shift."""
+
+    ij: FloatArray
+    """(n, 2) integers, smallest 0."""
+    points_px: FloatArray
+    """(n, 2)."""
+    polarity: FloatArray
+    """(n,) +1 where the square up and left of the corner is black."""
+
+
+def join(saddles: Saddles) -> Lattice:
+    """Join saddles into the largest lattice. Raises TargetNotFoundError."""
+    if len(saddles.points_px) < _MIN_CORNERS:
+        msg = f"no checkerboard: only {len(saddles.points_px)} corner candidates in the image"
+        raise TargetNotFoundError(msg)
+    arms, links = _links(saddles)
+    best: dict[int, tuple[int, int, int]] = {}
+    unseen = set(np.nonzero((links >= 0).sum(axis=1) >= 2)[0].tolist())
+    while unseen:
+        labels = _grow(min(unseen), arms, links)
+        unseen -= labels.keys()
+        if len(labels) > len(best):
+            best = labels
+    if len(best) < _MIN_CORNERS:
+        msg = f"no checkerboard: the largest lattice in the image has {len(best)} corners"
+        raise TargetNotFoundError(msg)
+    return _upright(best, saddles, arms)
+
+
+def _links(saddles: Saddles) -> tuple[FloatArray, FloatArray]:
+    """Arms (n, 4, 2), clockwise, and for each arm the saddle it leads to (n, 4), or -1."""
+    points = saddles.points_px
+    n = len(points)
+    a, b = saddles.directions_rad[:, 0], saddles.directions_rad[:, 1]
+    arms = np.stack(
+        [np.stack([np.cos(t), np.sin(t)], axis=1) for t in (a, b, a + np.pi, b + np.pi)], axis=1
+    )
+    _, near = cKDTree(points).query(points, k=min(_NEIGHBOURS, n))
+    near = near[:, 1:]
+    offset = points[near] - points[:, None]  # (n, k, 2)
+    along = np.einsum("nkc,nac->nka", offset, arms)
+    across = np.abs(offset[:, :, None, 0] * arms[:, None, :, 1]
+                    - offset[:, :, None, 1] * arms[:, None, :, 0])
+    parallel = np.abs(np.einsum("nkbc,nac->nkab", arms[near], arms)).max(axis=3) > 0.94
+    # Along an edge the corners alternate: in the arm's own frame the sector clockwise of it.
+    side = saddles.polarity[:, None] * np.array([1.0, -1.0, 1.0, -1.0])
+    closest = np.abs(np.einsum("nkbc,nac->nkab", arms[near], arms)).argmax(axis=3)
+    other_side = np.take_along_axis(side[near], closest, axis=2)
+    fits = (along > 0) & (across < 0.22 * along) & parallel & (other_side == -side[:, None, :])
+    cost = np.where(fits, along, np.inf)
+    choice = cost.argmin(axis=1)
+    links = np.take_along_axis(near, choice, axis=1)
+    links[~np.isfinite(cost.min(axis=1))] = -1
+    return arms, _mutual(links)
+
+
+def _mutual(links: FloatArray) -> FloatArray:
+    n = len(links)
+    back = np.zeros_like(links, dtype=bool)
+    for arm in range(4):
+        target = links[:, arm]
+        back[:, arm] = (links[np.where(target >= 0, target, 0)] == np.arange(n)[:, None]).any(1)
+    return np.where(back, links, -1)
+
+
+_STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
+
+
+def _grow(seed: int, arms: FloatArray, links: FloatArray) -> dict[int, tuple[int, int, int]]:
+    """Label what hangs together with a seed: {saddle: (i, j, arm that points along +i)}."""
+    labels = {seed: (0, 0, 0)}
+    taken = {(0, 0): seed}
+    queue = deque([seed])
+    while queue:
+        at = queue.popleft()
+        i, j, turn = labels[at]
+        for step in range(4):
+            to = int(links[at, (step + turn) % 4])
+            if to < 0 or to in labels:
+                continue
+            spot = (i + _STEPS[step][0], j + _STEPS[step][1])
+            if spot in taken:
+                continue
+            labels[to] = (*spot, int(np.argmax(arms[to] @ arms[at, turn])))
+            taken[spot] = to
+            queue.append(to)
+    return labels
+
+
+def _upright(
+    labels: dict[int, tuple[int, int, int]], saddles: Saddles, arms: FloatArray
+) -> Lattice:
+    """Turn the lattice by quarter turns until +i points to the right."""
+    index = np.array(list(labels))
+    ij = np.array([label[:2] for label in labels.values()])
+    first_arm = np.array([label[2] for label in labels.values()])
+    rightness = [arms[index, (first_arm + quarter) % 4, 0].mean() for quarter in range(4)]
+    quarter = int(np.argmax(rightness))
+    for _ in range(quarter):  # +i becomes what was +j
+        ij = np.stack([ij[:, 1], -ij[:, 0]], axis=1)
+    arm = (first_arm + quarter) % 4
+    clockwise_sector_bright = saddles.polarity[index] * np.where(arm % 2 == 0, 1.0, -1.0)
+    return Lattice(
+        ij - ij.min(axis=0),
+        saddles.points_px[index],
+        # The sector clockwise of +i is down and right; up and left is its opposite, alike.
+        -clockwise_sector_bright,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class NamedLattice:
+    """Corners of a lattice with their index on the board."""
+
+    index: FloatArray
+    """(n,) index into Board.corners_mm."""
+    points_px: FloatArray
+    """(n, 2)."""
+    steps_px: FloatArray
+    """(n, 2, 2) d(px)/d(square): columns are one square along i and along j."""
+    certain: bool
+    """False if another position on the board would fit as well."""
+
+
+def name_on_board(
+    lattice: Lattice, board: Board, width_px: int, height_px: int
+) -> NamedLattice:
+    """Find which corners of the board a lattice shows, from its parity and the board's border.
+
+    Turns by quarter turns are tried in the order upright, left, right, upside down. Where
+    several positions remain, the middle one is taken and `certain` is False.
+    Raises TargetNotFoundError.
+    """
+    for quarter in (0, 1, 3, 2):
+        turned = _turned(lattice, quarter)
+        places = _places(turned, board, _borders(turned, width_px, height_px))
+        if places:
+            shift = places[len(places) // 2]
+            ij = turned.ij + shift
+            return NamedLattice(
+                ij[:, 1] * board.columns + ij[:, 0],
+                turned.points_px,
+                _steps(turned),
+                len(places) == 1,
+            )
+    size = lattice.ij.max(axis=0) + 1
+    msg = (
+        f"no checkerboard: found {size[0]}x{size[1]} corners in the image, the board has "
+        f"{board.columns}x{board.rows}"
+    )
+    raise TargetNotFoundError(msg)
+
+
+def _turned(lattice: Lattice, quarter: int) -> Lattice:
+    ij, polarity = lattice.ij, lattice.polarity
+    for _ in range(quarter):
+        ij = np.stack([ij[:, 1], -ij[:, 0]], axis=1)
+        polarity = -polarity  # the sector up and left is now one of the other colour
+    return Lattice(ij - ij.min(axis=0), lattice.points_px, polarity)
+
+
+def _places(lattice: Lattice, board: Board, borders: FloatArray) -> list[tuple[int, int]]:
+    """Shifts (i, j) at which the lattice lies on the board with its parity and borders right."""
+    room = np.array([board.columns, board.rows]) - lattice.ij.max(axis=0) - 1
+    if (room < 0).any():
+        return []
+    even = (lattice.ij.sum(axis=1) % 2 == 0) == (lattice.polarity > 0)
+    odd_shift = int(even.mean() < 0.5)
+    options: list[list[int]] = []
+    for axis in range(2):
+        at_start, at_end = borders[axis]
+        allowed = range(room[axis] + 1)
+        fitting = [s for s in allowed if (not at_start or s == 0) and
+                   (not at_end or s == room[axis])]
+        options.append(fitting or list(allowed))
+    return [(i, j) for i in options[0] for j in options[1] if (i + j) % 2 == odd_shift]
+
+
+def _grid(lattice: Lattice) -> FloatArray:
+    """Points on their lattice, (j, i, 2), NaN where there is none, with a margin of one."""
+    size = lattice.ij.max(axis=0) + 3
+    grid = np.full((size[1], size[0], 2), np.nan)
+    grid[lattice.ij[:, 1] + 1, lattice.ij[:, 0] + 1] = lattice.points_px
+    return grid
+
+
+def _borders(lattice: Lattice, width_px: int, height_px: int) -> FloatArray:
+    """(2, 2) bool: at the start and the end of each axis, does the board itself end there?
+
+    It does if most next corners, extrapolated, would lie well inside the image.
+    """
+    grid = _grid(lattice)
+    answer = np.zeros((2, 2), dtype=bool)
+    for axis in range(2):
+        lines = grid if axis == 1 else grid.transpose(1, 0, 2)
+        for end in range(2):
+            last, before = (lines[1], lines[2]) if end == 0 else (lines[-2], lines[-3])
+            beyond = 2.0 * last - before
+            beyond = beyond[np.isfinite(beyond).all(axis=1)]
+            if len(beyond) < 3:
+                continue
+            margin = 12.0
+            inside = (
+                (beyond > margin).all(axis=1)
+                & (beyond[:, 0] < width_px - 1 - margin)
+                & (beyond[:, 1] < height_px - 1 - margin)
+            )
+            answer[axis, end] = inside.mean() > 0.5
+    return answer
+
+
+def _steps(lattice: Lattice) -> FloatArray:
+    """d(px)/d(square) at each corner from its neighbours, central where both are there."""
+    grid = _grid(lattice)
+    steps = np.empty((len(lattice.ij), 2, 2))
+    j, i = lattice.ij[:, 1] + 1, lattice.ij[:, 0] + 1
+    for axis, (dj, di) in enumerate(((0, 1), (1, 0))):
+        after, before, here = grid[j + dj, i + di], grid[j - dj, i - di], grid[j, i]
+        central = 0.5 * (after - before)
+        one_sided = np.where(np.isfinite(after), after - here, here - before)
+        steps[:, :, axis] = np.where(np.isfinite(central), central, one_sided)
+    lonely = ~np.isfinite(steps).all(axis=(1, 2))
+    if lonely.any():
+        known = np.nonzero(~lonely)[0]
+        _, nearest = cKDTree(lattice.points_px[known]).query(lattice.points_px[lonely])
+        steps[lonely] = steps[known[nearest]]
+    return steps

@@ -1,0 +1,124 @@
+"""The pose of a board with known corners from one image (Eq. 11)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from core.errors import TargetNotFoundError
+from core.lens import Lens
+from core.pose import Pose, skew_matrix
+from core.site import FloatArray
+
+MIN_CORNERS = 8
+POSITION_FLOOR_PX = 0.002
+"""What a located corner is not trusted beyond, however low the noise: the model's own error."""
+
+
+@dataclass(frozen=True, slots=True)
+class BoardView:
+    """Corners of the board located in one image."""
+
+    index: FloatArray
+    """(n,) index into Board.corners_mm."""
+    points_px: FloatArray
+    """(n, 2)."""
+    covariance_px2: FloatArray
+    """(n, 2, 2)."""
+
+    def select(self, keep: FloatArray) -> BoardView:
+        """Give the view of some of the corners."""
+        return BoardView(self.index[keep], self.points_px[keep], self.covariance_px2[keep])
+
+    def whitening(self) -> FloatArray:
+        """(n, 2, 2) matrices that make the residuals of unit variance."""
+        covariance = self.covariance_px2 + POSITION_FLOOR_PX**2 * np.eye(2)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
+@dataclass(frozen=True, slots=True)
+class BoardPose:
+    """`T_CS_WS` of one image with its uncertainty."""
+
+    pose: Pose
+    covariance: FloatArray
+    """(6, 6) of (rotation about the CS axes rad, translation mm), see Pose.perturbed."""
+    residuals_px: FloatArray
+    """(n, 2) located minus projected."""
+    weights: FloatArray
+    """(n,) 0 to 1, low for corners that do not fit the others."""
+    variance_factor: float
+    """Squared ratio of the residuals to their predicted size, at least 1."""
+
+    @property
+    def rms_px(self) -> float:
+        """Weighted rms of one coordinate's residual."""
+        squares = (self.residuals_px**2).sum(axis=1) / 2.0
+        return float(np.sqrt((self.weights * squares).sum() / self.weights.sum()))
+
+
+def robust_weights(norm: FloatArray) -> FloatArray:
+    """Full weight up to 3 standard deviations, then fading as (3 / norm)^4."""
+    return np.asarray(np.minimum(1.0, (3.0 / np.maximum(norm, 1e-9)) ** 4))
+
+
+def robust_scale(norm: FloatArray) -> float:
+    """Ratio of residual norms (n,) of 2-vectors to unit variance, by their median; at least 1."""
+    return max(1.0, float(np.median(norm)) / 1.1774)
+
+
+def start_pose(lens: Lens, points_mm: FloatArray, points_px: FloatArray) -> Pose:
+    """Pose from a plane's homography, without a guess. Raises TargetNotFoundError."""
+    rays = lens.normalise(points_px)
+    ok, rotation, translation = cv2.solvePnP(
+        points_mm, rays, np.eye(3), None, flags=cv2.SOLVEPNP_ITERATIVE
+    )
+    if not ok or translation[2, 0] <= 0:
+        msg = "sub target: no pose fits the corners found"
+        raise TargetNotFoundError(msg)
+    return Pose.from_vectors(rotation[:, 0], translation[:, 0])
+
+
+def pose_jacobian(lens: Lens, pose: Pose, points_mm: FloatArray) -> tuple[FloatArray, ...]:
+    """Projection (n, 2) and its derivatives by pose (n, 2, 6), point (n, 2, 3), lens (n, 2, 10)."""
+    rotated = points_mm @ pose.R.T
+    projected, by_camera_point, by_lens = lens.project_jacobians(rotated + pose.t_mm)
+    by_pose = np.empty((len(points_mm), 2, 6))
+    by_pose[:, :, :3] = -by_camera_point @ skew_matrix(rotated)
+    by_pose[:, :, 3:] = by_camera_point
+    return projected, by_pose, by_camera_point @ pose.R, by_lens
+
+
+def resect(
+    lens: Lens, corners_mm: FloatArray, view: BoardView, start: Pose | None = None
+) -> BoardPose:
+    """Fit the pose to the located corners by robust Gauss-Newton.
+
+    corners_mm (m, 3) are all corners of the board. Corners off by many standard deviations
+    fade out. Raises TargetNotFoundError with fewer than 8 corners.
+    """
+    if len(view.index) < MIN_CORNERS:
+        msg = f"sub target: {len(view.index)} corners located, {MIN_CORNERS} are needed"
+        raise TargetNotFoundError(msg)
+    points = corners_mm[view.index]
+    pose = start or start_pose(lens, points, view.points_px)
+    whiten = view.whitening()
+    for _ in range(12):
+        projected, by_pose, _, _ = pose_jacobian(lens, pose, points)
+        residual = view.points_px - projected
+        white = (whiten @ residual[:, :, None])[:, :, 0]
+        norm = np.hypot(white[:, 0], white[:, 1])
+        scale = robust_scale(norm)
+        weights = robust_weights(norm / scale)
+        jacobian = (whiten @ by_pose) * np.sqrt(weights)[:, None, None]
+        flat = jacobian.reshape(-1, 6)
+        normal = flat.T @ flat
+        step = np.linalg.solve(normal, flat.T @ (white * np.sqrt(weights)[:, None]).ravel())
+        pose = pose.perturbed(step)
+        if float(np.abs(step).max()) < 1e-10:
+            break
+    return BoardPose(
+        pose, np.linalg.inv(normal) * scale**2, residual, weights, float(scale**2)
+    )
