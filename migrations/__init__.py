@@ -1,1 +1,1 @@
-"""Database migrations (Alembic); they import none of our code."""
+"""The database's history: Alembic revisions, run by `daemon.store.migrate`."""

@@ -1,0 +1,168 @@
+"""Records to rows and back."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, fields
+from typing import Any
+
+import numpy as np
+
+from core.calibration import CalibrationReport
+from core.results import Diagnostics, Displacement, Flag, Measurement, Reason, RigMotion
+from core.site import FloatArray
+from daemon.store.records import CalibrationRecord, CameraState, MeasurementRecord
+from daemon.store.schema import CalibrationRow, MeasurementRow
+
+_UPPER = np.triu_indices(6)
+
+
+def measurement_row(record: MeasurementRecord) -> MeasurementRow:
+    """The row of a record."""
+    measurement = record.measurement
+    return MeasurementRow(
+        slot_utc=record.slot_utc,
+        flag=int(measurement.flag),
+        reasons=join_reasons(measurement.reasons),
+        **_displacement_columns(measurement.corrected, ""),
+        **_displacement_columns(measurement.raw, "raw_"),
+        **_motion_columns(measurement.motion),
+        **asdict(measurement.diagnostics),
+        **_camera_columns(record.main_camera, "main_"),
+        **_camera_columns(record.sub_camera, "sub_"),
+        skew_s=record.skew_s,
+        main_frame=record.main_frame,
+        sub_frame=record.sub_frame,
+        captured_utc=record.captured_utc,
+        recorded_late=record.recorded_late,
+        calibration_id=record.calibration_id,
+        config_hash=record.config_hash,
+        version=record.version,
+    )
+
+
+def measurement_record(row: MeasurementRow) -> MeasurementRecord:
+    """The record of a row."""
+    diagnostics = Diagnostics(**{f.name: getattr(row, f.name) for f in fields(Diagnostics)})
+    measurement = Measurement(
+        flag=Flag(row.flag),
+        reasons=tuple(Reason(word) for word in row.reasons.split("+") if word),
+        corrected=_displacement(row, ""),
+        raw=_displacement(row, "raw_"),
+        motion=_motion(row),
+        diagnostics=diagnostics,
+    )
+    return MeasurementRecord(
+        slot_utc=row.slot_utc,
+        measurement=measurement,
+        config_hash=row.config_hash,
+        version=row.version,
+        calibration_id=row.calibration_id,
+        skew_s=row.skew_s,
+        main_frame=row.main_frame,
+        sub_frame=row.sub_frame,
+        captured_utc=row.captured_utc,
+        recorded_late=row.recorded_late,
+        main_camera=_camera(row, "main_"),
+        sub_camera=_camera(row, "sub_"),
+    )
+
+
+def calibration_row(record: CalibrationRecord) -> CalibrationRow:
+    """The row of a calibration. Raises ValueError for content that is not plain, finite JSON."""
+    report = {"lines": list(record.report.lines), "figures": record.report.figures}
+    return CalibrationRow(
+        created_utc=record.created_utc,
+        method=str(record.content.get("method", "")),
+        passed=record.report.passed,
+        content=_json(dict(record.content)),
+        report=_json(report),
+        frames=record.frames,
+        config_hash=record.config_hash,
+        version=record.version,
+    )
+
+
+def calibration_record(row: CalibrationRow) -> CalibrationRecord:
+    """The record of a calibration's row."""
+    report = json.loads(row.report)
+    return CalibrationRecord(
+        created_utc=row.created_utc,
+        content=json.loads(row.content),
+        report=CalibrationReport(
+            passed=row.passed, lines=tuple(report["lines"]), figures=report["figures"]
+        ),
+        config_hash=row.config_hash,
+        version=row.version,
+        frames=row.frames,
+        id=row.id,
+    )
+
+
+def join_reasons(reasons: tuple[Reason, ...]) -> str:
+    """Reasons as one word of a table."""
+    return "+".join(reason.value for reason in reasons)
+
+
+def _json(value: object) -> str:
+    return json.dumps(value, allow_nan=False, separators=(",", ":"))
+
+
+def _displacement_columns(displacement: Displacement | None, prefix: str) -> dict[str, float]:
+    if displacement is None:
+        return {}
+    covariance = displacement.covariance_mm2
+    return {
+        f"{prefix}x_mm": float(displacement.mm[0]),
+        f"{prefix}y_mm": float(displacement.mm[1]),
+        f"{prefix}sigma_x_mm": float(np.sqrt(covariance[0, 0])),
+        f"{prefix}sigma_y_mm": float(np.sqrt(covariance[1, 1])),
+        f"{prefix}cov_xy_mm2": float(covariance[0, 1]),
+    }
+
+
+def _displacement(row: MeasurementRow, prefix: str) -> Displacement | None:
+    names = ("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm", "cov_xy_mm2")
+    x, y, sigma_x, sigma_y, cov_xy = (getattr(row, prefix + name) for name in names)
+    if x is None:
+        return None
+    covariance = np.array([[sigma_x**2, cov_xy], [cov_xy, sigma_y**2]])
+    return Displacement(mm=np.array([x, y]), covariance_mm2=covariance)
+
+
+def _motion_columns(motion: RigMotion | None) -> dict[str, Any]:
+    if motion is None:
+        return {}
+    rx, ry, rz = (float(value) for value in motion.rotation_rad)
+    tx, ty, tz = (float(value) for value in motion.translation_mm)
+    upper = [float(value) for value in motion.covariance[_UPPER]]
+    return {
+        "rx_rad": rx,
+        "ry_rad": ry,
+        "rz_rad": rz,
+        "tx_mm": tx,
+        "ty_mm": ty,
+        "tz_mm": tz,
+        "motion_covariance": _json(upper),
+    }
+
+
+def _motion(row: MeasurementRow) -> RigMotion | None:
+    if row.motion_covariance is None:
+        return None
+    covariance: FloatArray = np.zeros((6, 6))
+    covariance[_UPPER] = json.loads(row.motion_covariance)
+    covariance = covariance + np.triu(covariance, 1).T
+    return RigMotion(
+        rotation_rad=np.array([row.rx_rad, row.ry_rad, row.rz_rad], dtype=np.float64),
+        translation_mm=np.array([row.tx_mm, row.ty_mm, row.tz_mm], dtype=np.float64),
+        covariance=covariance,
+    )
+
+
+def _camera_columns(camera: CameraState, prefix: str) -> dict[str, float | None]:
+    return {prefix + name: value for name, value in asdict(camera).items()}
+
+
+def _camera(row: MeasurementRow, prefix: str) -> CameraState:
+    return CameraState(**{f.name: getattr(row, prefix + f.name) for f in fields(CameraState)})

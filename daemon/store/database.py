@@ -1,0 +1,351 @@
+"""The database: every slot's row or gap, calibrations, events and marks, durable when it returns.
+
+Each method is one transaction. What has returned is on the disk (WAL, synchronous=FULL); what
+raised has changed nothing. A store may be used from several threads; readers never wait for the
+writer, nor it for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from sqlalchemy import Engine, func, select
+from sqlalchemy.orm import Session
+
+from daemon.store import engine as sqlite
+from daemon.store import gaps as gap_runs
+from daemon.store.convert import (
+    calibration_record,
+    calibration_row,
+    measurement_record,
+    measurement_row,
+)
+from daemon.store.coverage import coverage, schedule_slots
+from daemon.store.durable import fsync_directory, make_directory_durable
+from daemon.store.errors import (
+    DatabaseMissingError,
+    DatabaseUnwritableError,
+    SlotTakenError,
+    StoreError,
+)
+from daemon.store.migrate import migrate as run_migrations
+from daemon.store.migrate import require_head
+from daemon.store.records import (
+    CalibrationRecord,
+    Coverage,
+    EventRecord,
+    GapCause,
+    GapRecord,
+    Mark,
+    MeasurementRecord,
+)
+from daemon.store.schema import (
+    ActivationRow,
+    CalibrationRow,
+    EventRow,
+    GapRow,
+    MarkRow,
+    MeasurementRow,
+    slot_text,
+)
+
+FILE_NAME = "dcam.db"
+
+ALWAYS = datetime(1, 1, 1, tzinfo=UTC)
+NEVER = datetime(9999, 12, 31, tzinfo=UTC)
+"""The stretch [ALWAYS, NEVER) holds everything."""
+
+_PAGE = 500
+
+
+def open_store(
+    directory: Path, *, create: bool = True, migrate: bool = True, now_utc: datetime | None = None
+) -> Store:
+    """Open the database of a state directory for writing; make or migrate it as allowed.
+
+    The file is checked, and saved under a dated name (of `now_utc`) before a migration.
+    Raises DatabaseMissingError, DatabaseDamagedError, DatabaseNewerError, DatabaseOlderError.
+    """
+    path = directory / FILE_NAME
+    exists = sqlite.database_exists(path)
+    if not exists and not create:
+        raise DatabaseMissingError(_missing(path))
+    try:
+        make_directory_durable(directory)
+    except OSError as error:
+        msg = f"{directory}: cannot be made ({error.strerror}): check the path and its permissions"
+        raise DatabaseUnwritableError(msg) from error
+    if exists:
+        sqlite.quick_check(path)
+    engine = sqlite.make_engine(path)
+    try:
+        if migrate:
+            run_migrations(engine, path, now_utc or datetime.now(UTC))
+            fsync_directory(directory)
+        else:
+            require_head(engine, path)
+    except BaseException:
+        engine.dispose()
+        raise
+    return Store(path, engine)
+
+
+def open_store_readonly(directory: Path) -> Store:
+    """Open the database for reading beside a running daemon, or without one.
+
+    Raises DatabaseMissingError, DatabaseDamagedError, DatabaseNewerError, DatabaseOlderError.
+    """
+    path = directory / FILE_NAME
+    if not sqlite.database_exists(path):
+        raise DatabaseMissingError(_missing(path))
+    engine = sqlite.make_engine(path, readonly=True)
+    try:
+        require_head(engine, path)
+    except BaseException:
+        engine.dispose()
+        raise
+    return Store(path, engine)
+
+
+class Store:
+    """An open database; use `open_store` or `open_store_readonly`."""
+
+    def __init__(self, path: Path, engine: Engine) -> None:
+        self.path = path
+        self._engine = engine
+        self._writer = engine.execution_options(dcam_begin="IMMEDIATE")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        _kind: type[BaseException] | None,
+        _error: BaseException | None,
+        _trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    # Measurements
+
+    def add_measurement(self, record: MeasurementRecord) -> None:
+        """Write one slot's row; a gap that holds the slot shrinks or splits around it.
+
+        Raises SlotTakenError when the slot has a row already.
+        """
+        with self._write() as session:
+            if self._row(session, record.slot_utc) is not None:
+                msg = f"{self.path}: slot {slot_text(record.slot_utc)} has a row already"
+                raise SlotTakenError(msg)
+            gap_runs.release(session, record.slot_utc)
+            session.add(measurement_row(record))
+
+    def measurement(self, slot_utc: datetime) -> MeasurementRecord | None:
+        """The row of a slot."""
+        with self._read() as session:
+            row = self._row(session, slot_utc)
+            return None if row is None else measurement_record(row)
+
+    def measurements(
+        self, since: datetime = ALWAYS, until: datetime = NEVER
+    ) -> Iterator[MeasurementRecord]:
+        """Rows with since <= slot < until, in the order of their slots.
+
+        Read in pages, each in a transaction of its own: a slow reader of many years keeps
+        neither memory nor the write-ahead log.
+        """
+        after = since - timedelta(seconds=1) if since > ALWAYS else since
+        while True:
+            page = self._page(after, until)
+            yield from page
+            if len(page) < _PAGE:
+                return
+            after = page[-1].slot_utc
+
+    def measured_slots(self, since: datetime = ALWAYS, until: datetime = NEVER) -> set[datetime]:
+        """The slots that have a row, since <= slot < until."""
+        column = MeasurementRow.slot_utc
+        query = select(column).where(column >= since, column < until)
+        with self._read() as session:
+            return set(session.scalars(query))
+
+    def last_slot(self) -> datetime | None:
+        """The latest slot with a row."""
+        with self._read() as session:
+            return session.scalar(select(func.max(MeasurementRow.slot_utc)))
+
+    def accounted(self) -> tuple[datetime, datetime] | None:
+        """The first and the last slot that has a row or lies in a gap; None when there is none."""
+        with self._read() as session:
+            limits = (
+                session.scalar(select(func.min(MeasurementRow.slot_utc))),
+                session.scalar(select(func.max(MeasurementRow.slot_utc))),
+                session.scalar(select(func.min(GapRow.start_utc))),
+                session.scalar(select(func.max(GapRow.end_utc))),
+            )
+        known = [limit for limit in limits if limit is not None]
+        return (min(known), max(known)) if known else None
+
+    # Gaps
+
+    def record_gap(
+        self,
+        first_slot: datetime,
+        last_slot: datetime,
+        cause: GapCause,
+        detail: str = "",
+        *,
+        period_s: int,
+    ) -> int:
+        """Record the slots from first to last (both included) as missed; give how many were new.
+
+        Slots that have a row or lie in a gap stay as they are, so that this may be repeated.
+        A gap of the same cause that the slots continue is extended and keeps its detail.
+        Raises ValueError when the two are not a whole number of periods apart.
+        """
+        run = gap_runs.run_between(first_slot, last_slot, period_s)
+        with self._write() as session:
+            return gap_runs.record_missed(session, run, cause, detail)
+
+    def gaps(self, since: datetime = ALWAYS, until: datetime = NEVER) -> list[GapRecord]:
+        """Gaps with at least one moment in since <= t < until, whole, in order."""
+        with self._read() as session:
+            rows = gap_runs.gaps_touching(session, since, until)
+            return [gap_runs.gap_record(row) for row in rows if row.start_utc < until]
+
+    def coverage(
+        self, since: datetime, until: datetime, *, period_s: int, offset_s: int = 0
+    ) -> Coverage:
+        """Account for the slots `k * period_s + offset_s` (Unix time), since <= slot < until."""
+        slots = schedule_slots(since, until, period_s, offset_s)
+        with self._read() as session:
+            return coverage(session, slots)
+
+    # Calibrations
+
+    def add_calibration(self, record: CalibrationRecord, *, activate: bool = False) -> int:
+        """Store a calibration for good, and make it the active one if told; give its id.
+
+        Raises ValueError for content that is not plain, finite JSON.
+        """
+        row = calibration_row(record)
+        with self._write() as session:
+            session.add(row)
+            session.flush()
+            if activate:
+                session.add(ActivationRow(calibration_id=row.id, activated_utc=record.created_utc))
+            return row.id
+
+    def activate_calibration(self, calibration_id: int, time_utc: datetime) -> None:
+        """Measure with this calibration from now on. Raises StoreError when there is none."""
+        with self._write() as session:
+            if session.get(CalibrationRow, calibration_id) is None:
+                msg = f"{self.path}: no calibration {calibration_id}: choose one that is listed"
+                raise StoreError(msg)
+            session.add(ActivationRow(calibration_id=calibration_id, activated_utc=time_utc))
+
+    def active_calibration(self) -> CalibrationRecord | None:
+        """The calibration in use."""
+        newest = select(func.max(ActivationRow.id)).scalar_subquery()
+        query = select(CalibrationRow).join(ActivationRow).where(ActivationRow.id == newest)
+        with self._read() as session:
+            row = session.scalar(query)
+            return None if row is None else calibration_record(row)
+
+    def calibration(self, calibration_id: int) -> CalibrationRecord | None:
+        """One calibration."""
+        with self._read() as session:
+            row = session.get(CalibrationRow, calibration_id)
+            return None if row is None else calibration_record(row)
+
+    def calibrations(self) -> list[CalibrationRecord]:
+        """All of them, oldest first."""
+        with self._read() as session:
+            rows = session.scalars(select(CalibrationRow).order_by(CalibrationRow.id))
+            return [calibration_record(row) for row in rows]
+
+    # Events and marks
+
+    def add_event(self, time_utc: datetime, kind: str, detail: str = "") -> None:
+        """Write one line of the system's history."""
+        with self._write() as session:
+            session.add(EventRow(time_utc=time_utc, kind=kind, detail=detail))
+
+    def events(
+        self, since: datetime = ALWAYS, until: datetime = NEVER, kind: str | None = None
+    ) -> list[EventRecord]:
+        """Events with since <= time < until, of one kind if given, in order."""
+        column = EventRow.time_utc
+        query = select(EventRow).where(column >= since, column < until)
+        if kind is not None:
+            query = query.where(EventRow.kind == kind)
+        with self._read() as session:
+            rows = session.scalars(query.order_by(column, EventRow.id))
+            return [EventRecord(row.time_utc, row.kind, row.detail) for row in rows]
+
+    def set_mark(self, mark: Mark, value: str | None) -> None:
+        """Set a mark, or remove it with None."""
+        with self._write() as session:
+            row = session.get(MarkRow, mark.value)
+            if value is None:
+                if row is not None:
+                    session.delete(row)
+            else:
+                session.merge(MarkRow(name=mark.value, value=value))
+
+    def get_mark(self, mark: Mark) -> str | None:
+        """A mark's value, None if not set."""
+        with self._read() as session:
+            row = session.get(MarkRow, mark.value)
+            return None if row is None else row.value
+
+    # The file
+
+    def backup(self, target: Path) -> None:
+        """Copy the database consistently, under the running daemon, to a durable file.
+
+        Raises DatabaseUnwritableError; an older file of that name is replaced only by a whole one.
+        """
+        if target.absolute() == self.path.absolute():
+            msg = f"{target}: is the database itself: choose another name"
+            raise StoreError(msg)
+        sqlite.backup(self.path, target)
+
+    def checkpoint(self) -> None:
+        """Move the write-ahead log into the file and empty it, as far as readers allow."""
+        with sqlite.translated(self.path), closing(sqlite.connect(self.path)) as connection:
+            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").close()
+
+    def close(self) -> None:
+        """Close all connections; the last one empties the write-ahead log."""
+        self._engine.dispose()
+
+    @contextmanager
+    def _read(self) -> Iterator[Session]:
+        with sqlite.translated(self.path), Session(self._engine) as session:
+            yield session
+
+    @contextmanager
+    def _write(self) -> Iterator[Session]:
+        with sqlite.translated(self.path), Session(self._writer) as session, session.begin():
+            yield session
+
+    def _row(self, session: Session, slot_utc: datetime) -> MeasurementRow | None:
+        query = select(MeasurementRow).where(MeasurementRow.slot_utc == slot_utc)
+        return session.scalar(query)
+
+    def _page(self, after: datetime, until: datetime) -> list[MeasurementRecord]:
+        column = MeasurementRow.slot_utc
+        query = select(MeasurementRow).where(column > after, column < until)
+        with self._read() as session:
+            rows = session.scalars(query.order_by(column).limit(_PAGE))
+            return [measurement_record(row) for row in rows]
+
+
+def _missing(path: Path) -> str:
+    return f"{path}: no database: start dcamd once, or name another state directory"

@@ -1,0 +1,193 @@
+"""SQLite as this program needs it: durable on every connection, and plain when it fails."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+from sqlalchemy import Connection, Engine, create_engine, event
+from sqlalchemy.exc import DBAPIError
+from sqlalchemy.pool import QueuePool
+
+from daemon.store.durable import fsync_directory, fsync_file
+from daemon.store.errors import (
+    DatabaseBusyError,
+    DatabaseDamagedError,
+    DatabaseUnwritableError,
+    StoreError,
+)
+
+BUSY_TIMEOUT_S = 10.0
+"""A second writer (a command beside the daemon) holds the lock for milliseconds."""
+
+_MAGIC = b"SQLite format 3\0"
+
+_PRAGMAS: tuple[tuple[str, str, object], ...] = (
+    ("journal_mode", "WAL", "wal"),
+    ("synchronous", "FULL", 2),
+    ("foreign_keys", "ON", 1),
+)
+
+_DAMAGED = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
+_BUSY = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_PROTOCOL}
+_UNWRITABLE = {
+    sqlite3.SQLITE_FULL,
+    sqlite3.SQLITE_IOERR,
+    sqlite3.SQLITE_READONLY,
+    sqlite3.SQLITE_CANTOPEN,
+}
+
+
+def connect(path: Path) -> sqlite3.Connection:
+    """Open for reading and writing, with every commit on the disk before it returns.
+
+    `synchronous` is a property of the connection and not of the file, so it is set and read back
+    each time (https://sqlite.org/pragma.html#pragma_synchronous). Raises StoreError when the
+    file system cannot hold a write-ahead log.
+    """
+    connection = sqlite3.connect(
+        path, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
+    )
+    try:
+        for name, value, wanted in _PRAGMAS:
+            _set_and_assert(connection, path, name, value, wanted)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def _set_and_assert(
+    connection: sqlite3.Connection, path: Path, name: str, value: str, wanted: object
+) -> None:
+    connection.execute(f"PRAGMA {name}={value}").close()
+    (found,) = connection.execute(f"PRAGMA {name}").fetchone()
+    if found != wanted:
+        msg = f"{path}: SQLite refuses {name}={value}: put the state on a local disk"
+        raise StoreError(msg)
+
+
+def connect_readonly(path: Path) -> sqlite3.Connection:
+    """Open for reading only, beside a running daemon or without one.
+
+    A WAL database that nobody has open needs a writable directory even for reading; where there
+    is none, and no log is left to replay, the file is read as it stands.
+    """
+    log = path.with_name(path.name + "-wal")
+    as_it_stands = not log.exists() and not os.access(path.parent, os.W_OK)
+    query = "immutable=1" if as_it_stands else "mode=ro"
+    connection = sqlite3.connect(
+        f"{path.absolute().as_uri()}?{query}",
+        uri=True,
+        timeout=BUSY_TIMEOUT_S,
+        isolation_level=None,
+        check_same_thread=False,
+    )
+    connection.execute("PRAGMA query_only=ON").close()
+    return connection
+
+
+def database_exists(path: Path) -> bool:
+    """Whether a database is there; an empty file is what a cut leaves of a database's making.
+
+    Raises DatabaseDamagedError for a file that is none, DatabaseUnwritableError for one that
+    may not be read.
+    """
+    try:
+        with path.open("rb") as file:
+            start = file.read(len(_MAGIC))
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        msg = f"{path}: cannot be read ({error.strerror}): check its permissions"
+        raise DatabaseUnwritableError(msg) from error
+    if start and start != _MAGIC:
+        msg = f"{path}: not a SQLite database: move it aside and restore a backup"
+        raise DatabaseDamagedError(msg)
+    return bool(start)
+
+
+def make_engine(path: Path, *, readonly: bool = False) -> Engine:
+    """Give an engine whose transactions begin as told by the option `dcam_begin`.
+
+    Python's driver begins late and deferred, so that two writers could fail in the middle of a
+    transaction: SQLite cannot wait for the write lock once a read lock is held. Writers say
+    IMMEDIATE.
+    """
+    opener = connect_readonly if readonly else connect
+    engine = create_engine("sqlite://", creator=lambda: opener(path), poolclass=QueuePool)
+
+    def begin(connection: Connection) -> None:
+        mode = connection.get_execution_options().get("dcam_begin", "DEFERRED")
+        connection.exec_driver_sql(f"BEGIN {mode}")
+
+    event.listen(engine, "begin", begin)
+    return engine
+
+
+@contextmanager
+def translated(path: Path) -> Iterator[None]:
+    """Turn SQLite's errors into the store's, which say what to do."""
+    try:
+        yield
+    except DBAPIError as error:
+        raise _translate(path, error.orig) from error
+    except sqlite3.Error as error:
+        raise _translate(path, error) from error
+
+
+def _translate(path: Path, error: BaseException | None) -> StoreError:
+    code = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the rest is SQLite's extension
+    if code in _DAMAGED:
+        return DatabaseDamagedError(
+            f"{path}: damaged ({error}): move it aside and restore a backup"
+        )
+    if code in _BUSY:
+        return DatabaseBusyError(
+            f"{path}: another program holds it locked ({error}): close that program"
+        )
+    if code in _UNWRITABLE:
+        return DatabaseUnwritableError(
+            f"{path}: {error}: check free space, permissions and the health of the disk"
+        )
+    return StoreError(f"{path}: {error}")
+
+
+def quick_check(path: Path) -> None:
+    """Raise DatabaseDamagedError unless SQLite finds the file's pages consistent."""
+    with translated(path), closing(connect(path)) as connection:
+        findings = [str(row[0]) for row in connection.execute("PRAGMA quick_check(1)")]
+    if findings != ["ok"]:
+        what = findings[0].splitlines()[-1] if findings else "no answer"
+        msg = f"{path}: damaged ({what}): move it aside and restore a backup"
+        raise DatabaseDamagedError(msg)
+
+
+def backup(source: Path, target: Path) -> None:
+    """Copy a database consistently, while others write to it, into one durable file.
+
+    The copy appears under its name only when complete, and replaces an older one of that name.
+    It is made in one step: a copy in several would start over with every commit between them.
+    """
+    temporary = target.with_name(f".{target.name}.tmp")
+    temporary.unlink(missing_ok=True)
+    try:
+        with (
+            translated(source),
+            closing(connect_readonly(source)) as original,
+            closing(sqlite3.connect(temporary, isolation_level=None)) as copy,
+        ):
+            original.backup(copy)
+            # Without a log of its own the copy can be read from a read-only medium.
+            copy.execute("PRAGMA journal_mode=DELETE").close()
+        fsync_file(temporary)
+        temporary.replace(target)
+        fsync_directory(target.parent)
+    except OSError as error:
+        msg = f"{target}: cannot write the backup ({error.strerror}): choose another place"
+        raise DatabaseUnwritableError(msg) from error
+    finally:
+        temporary.unlink(missing_ok=True)

@@ -1,0 +1,45 @@
+"""Errors of the database: each says which file, what is wrong, and what to do, in one line."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+
+class StoreError(Exception):
+    """The database could not do what was asked; nothing of the request was written."""
+
+    exit_code: ClassVar[int] = 5
+    retry: ClassVar[bool] = False
+    """Whether the same request may succeed a little later without anyone's hands."""
+
+
+class DatabaseMissingError(StoreError):
+    """There is no database in the state directory."""
+
+
+class DatabaseNewerError(StoreError):
+    """The database was written by a newer version of this program."""
+
+
+class DatabaseOlderError(StoreError):
+    """The database waits for a migration, and this opener may not run it."""
+
+
+class DatabaseDamagedError(StoreError):
+    """The file is not a SQLite database, or its pages contradict each other."""
+
+
+class DatabaseBusyError(StoreError):
+    """Another process held the write lock for longer than the busy time-out."""
+
+    retry = True
+
+
+class DatabaseUnwritableError(StoreError):
+    """The disk is full, read-only or failing."""
+
+    retry = True
+
+
+class SlotTakenError(StoreError):
+    """The slot already has a row or a stored pair; what was measured is never overwritten."""

@@ -1,0 +1,138 @@
+"""Missed slots: kept as runs, never over a measured slot, never twice.
+
+A run is a `range` of Unix seconds with the period as its step, so that membership, length and
+overlap are the language's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from datetime import datetime, timedelta
+from itertools import pairwise
+
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session
+
+from daemon.store.records import EPOCH, GapCause, GapRecord
+from daemon.store.schema import GapRow, MeasurementRow
+
+
+def unix_s(slot_utc: datetime) -> int:
+    """Whole Unix seconds of a slot."""
+    return (slot_utc - EPOCH) // timedelta(seconds=1)
+
+
+def slot_at(unix: int) -> datetime:
+    """The slot of whole Unix seconds."""
+    return EPOCH + timedelta(seconds=unix)
+
+
+def run_between(first: datetime, last: datetime, period_s: int) -> range:
+    """The slots from `first` to `last`, both included.
+
+    Raises ValueError unless they lie a whole number of periods apart, in this order.
+    """
+    start, end = unix_s(first), unix_s(last)
+    if period_s < 1 or end < start or (end - start) % period_s:
+        msg = f"{first} to {last} is not a run of slots {period_s} s apart"
+        raise ValueError(msg)
+    return range(start, end + period_s, period_s)
+
+
+def without(slots: range, taken: Collection[int]) -> Iterator[range]:
+    """The runs that are left of `slots` when the taken ones go, in order."""
+    borders = [slots.start - slots.step, *sorted(t for t in taken if t in slots), slots.stop]
+    for before, after in pairwise(borders):
+        run = range(before + slots.step, after, slots.step)
+        if run:
+            yield run
+
+
+def overlap(one: range, other: range) -> int:
+    """How many slots two runs share."""
+    if one.step == other.step and (one.start - other.start) % one.step == 0:
+        common = range(max(one.start, other.start), min(one.stop, other.stop), one.step)
+        return len(common)
+    shorter, longer = sorted((one, other), key=len)
+    return sum(slot in longer for slot in shorter)
+
+
+def record_missed(session: Session, slots: range, cause: GapCause, detail: str) -> int:
+    """Put those of `slots` that nothing accounts for into gaps; give their number.
+
+    A gap of the same cause and period that they continue is extended and keeps its detail.
+    """
+    first, last = slot_at(slots[0]), slot_at(slots[-1])
+    measured = session.scalars(
+        select(MeasurementRow.slot_utc).where(MeasurementRow.slot_utc.between(first, last))
+    )
+    taken = {unix_s(slot) for slot in measured}
+    for gap in gaps_touching(session, first, last):
+        taken.update(slot for slot in run_of(gap) if slot in slots)
+    runs = list(without(slots, taken))
+    for run in runs:
+        _join(session, run, cause, detail)
+    return sum(len(run) for run in runs)
+
+
+def release(session: Session, slot_utc: datetime) -> None:
+    """Take a slot that has been measured after all out of the gap that holds it."""
+    slot = unix_s(slot_utc)
+    for gap in gaps_touching(session, slot_utc, slot_utc):
+        slots = run_of(gap)
+        if slot in slots:
+            session.execute(delete(GapRow).where(GapRow.id == gap.id))
+            rests = without(slots, [slot])
+            session.add_all(_row(run, gap.cause, gap.detail) for run in rests)
+            session.flush()
+
+
+def gaps_touching(session: Session, first: datetime, last: datetime) -> list[GapRow]:
+    """Gaps whose time from start to end meets [first, last], in order."""
+    query = select(GapRow).where(GapRow.end_utc >= first, GapRow.start_utc <= last)
+    return list(session.scalars(query.order_by(GapRow.start_utc)))
+
+
+def run_of(gap: GapRow) -> range:
+    """The slots of a gap."""
+    return run_between(gap.start_utc, gap.end_utc, gap.period_s)
+
+
+def gap_record(gap: GapRow) -> GapRecord:
+    """The record of a gap's row."""
+    return GapRecord(
+        first_slot_utc=gap.start_utc,
+        last_slot_utc=gap.end_utc,
+        period_s=gap.period_s,
+        cause=gap.cause,
+        detail=gap.detail,
+    )
+
+
+def _row(run: range, cause: GapCause, detail: str) -> GapRow:
+    return GapRow(
+        start_utc=slot_at(run[0]),
+        end_utc=slot_at(run[-1]),
+        slots=len(run),
+        period_s=run.step,
+        cause=cause,
+        detail=detail,
+    )
+
+
+def _join(session: Session, run: range, cause: GapCause, detail: str) -> None:
+    alike = select(GapRow).where(GapRow.cause == cause, GapRow.period_s == run.step)
+    before = session.scalar(alike.where(GapRow.end_utc == slot_at(run.start - run.step)))
+    after = session.scalar(alike.where(GapRow.start_utc == slot_at(run[-1] + run.step)))
+    kept = before or after
+    if kept is None:
+        session.add(_row(run, cause, detail))
+        session.flush()
+        return
+    start = unix_s(before.start_utc) if before else run.start
+    end = unix_s(after.end_utc) if after else run[-1]
+    if before and after:
+        session.execute(delete(GapRow).where(GapRow.id == after.id))
+    kept.start_utc, kept.end_utc = slot_at(start), slot_at(end)
+    kept.slots = (end - start) // run.step + 1
+    session.flush()

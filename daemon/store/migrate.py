@@ -1,0 +1,105 @@
+"""Bring a database to this version's tables, after a backup; refuse a newer version's."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from importlib.resources import files
+from pathlib import Path
+
+from alembic import command
+from alembic.config import Config
+from alembic.script import ScriptDirectory
+from sqlalchemy import Connection, Engine, inspect, text
+
+from daemon.store.engine import backup, translated
+from daemon.store.errors import DatabaseDamagedError, DatabaseNewerError, DatabaseOlderError
+
+
+def alembic_config() -> Config:
+    """Alembic's settings; the scripts are those installed beside this program."""
+    config = Config()
+    config.set_main_option("script_location", str(files("migrations")).replace("%", "%%"))
+    return config
+
+
+def head_revision() -> str:
+    """The revision this version of the program works with."""
+    head = ScriptDirectory.from_config(alembic_config()).get_current_head()
+    if head is None:
+        msg = "no migrations are installed: install the program anew"
+        raise RuntimeError(msg)
+    return head
+
+
+def revision(connection: Connection, path: Path) -> str | None:
+    """A database's revision; None for one without tables.
+
+    Raises DatabaseDamagedError for a database that this program never made.
+    """
+    tables = set(inspect(connection).get_table_names())
+    if not tables:
+        return None
+    if "alembic_version" in tables:
+        found = connection.scalar(text("SELECT version_num FROM alembic_version"))
+        if found is not None:
+            return str(found)
+    msg = f"{path}: a SQLite database, but not one of this program: name another state directory"
+    raise DatabaseDamagedError(msg)
+
+
+def require_head(engine: Engine, path: Path) -> None:
+    """Raise DatabaseNewerError or DatabaseOlderError unless the revision is this version's."""
+    with translated(path), engine.connect() as connection:
+        found = revision(connection, path)
+    _require_known(found, path)
+    if found != head_revision():
+        msg = (
+            f"{path}: written by an older version (revision {found}, this one needs "
+            f"{head_revision()}): start dcamd once, it migrates after a backup"
+        )
+        raise DatabaseOlderError(msg)
+
+
+def migrate(engine: Engine, path: Path, now_utc: datetime) -> Path | None:
+    """Upgrade to this version's tables in one transaction; the backup made before, if any.
+
+    Raises DatabaseNewerError.
+    """
+    with translated(path), engine.connect() as connection:
+        found = revision(connection, path)
+    _require_known(found, path)
+    if found == head_revision():
+        return None
+    saved = None
+    if found is not None:
+        saved = _backup_name(path, found, now_utc)
+        backup(path, saved)
+    config = alembic_config()
+    # The revision is read again inside the transaction, so that two processes cannot both upgrade.
+    immediate = engine.execution_options(dcam_begin="IMMEDIATE")
+    with translated(path), immediate.begin() as connection:
+        config.attributes["connection"] = connection
+        command.upgrade(config, "head")
+    return saved
+
+
+def _require_known(found: str | None, path: Path) -> None:
+    scripts = ScriptDirectory.from_config(alembic_config())
+    known = {script.revision for script in scripts.walk_revisions()}
+    if found is not None and found not in known:
+        msg = (
+            f"{path}: written by a newer version (revision {found}, this one knows up to "
+            f"{head_revision()}): install that version again, or restore the backup made before it"
+        )
+        raise DatabaseNewerError(msg)
+
+
+def _backup_name(path: Path, found: str, now_utc: datetime) -> Path:
+    stamp = now_utc.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
+    name = f"{path.name}.revision-{found}.{stamp}"
+    candidate = path.with_name(name)
+    number = 1
+    while candidate.exists():  # a clock that stands still must not cost an older backup
+        number += 1
+        candidate = path.with_name(f"{name}.{number}")
+    return candidate

@@ -1,0 +1,151 @@
+"""What the store takes and gives: plain frozen values, free of SQL."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from enum import StrEnum
+from typing import Any
+
+from core.calibration import Calibration, CalibrationReport
+from core.results import Measurement
+
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+class GapCause(StrEnum):
+    """Why slots have no row: a closed list."""
+
+    POWER_LOSS = "power_loss"
+    CRASH = "crash"
+    STOPPED = "stopped"
+    """Stopped by an operator, or by a shutdown of the machine."""
+    CAMERA_LOST = "camera_lost"
+    CAPTURE_FAILED = "capture_failed"
+    """The cameras were there, but gave no complete pair."""
+    DISK_FULL = "disk_full"
+    STORAGE_FAILED = "storage_failed"
+    """The pair was taken, but disk or database refused it for another reason than space."""
+    CLOCK_WRONG = "clock_wrong"
+    CALIBRATION = "calibration"
+    OVERRUN = "overrun"
+    """The slot before took too long."""
+    UNKNOWN = "unknown"
+
+
+class Mark(StrEnum):
+    """The few single values that survive a restart."""
+
+    HEARTBEAT_UTC = "heartbeat_utc"
+    CLEAN_STOP_UTC = "clean_stop_utc"
+    BOOT_ID = "boot_id"
+
+
+@dataclass(frozen=True, slots=True)
+class CameraState:
+    """What one camera said of itself at the exposure; None where it has no such figure."""
+
+    exposure_us: float | None = None
+    gain_db: float | None = None
+    temperature_c: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MeasurementRecord:
+    """One slot's row: the measurement and everything it was made from."""
+
+    slot_utc: datetime
+    """Whole seconds, UTC; unique in the database."""
+    measurement: Measurement
+    config_hash: str
+    version: str
+    """Of the software that measured."""
+    calibration_id: int | None = None
+    """None only when there was no calibration to measure with."""
+    skew_s: float | None = None
+    """Sub trigger minus main trigger, s."""
+    main_frame: str | None = None
+    """Path relative to the state directory, with forward slashes."""
+    sub_frame: str | None = None
+    captured_utc: datetime | None = None
+    """When the pair was triggered; None if a crash left frames without that knowledge."""
+    recorded_late: bool = False
+    """The frames were found without a row after a restart, and measured then."""
+    main_camera: CameraState = field(default_factory=CameraState)
+    sub_camera: CameraState = field(default_factory=CameraState)
+
+
+@dataclass(frozen=True, slots=True)
+class GapRecord:
+    """A run of missed slots, `first + k * period_s`, with one cause."""
+
+    first_slot_utc: datetime
+    last_slot_utc: datetime
+    """The last missed slot, not the first one after."""
+    period_s: int
+    cause: GapCause
+    detail: str = ""
+
+    @property
+    def slots(self) -> int:
+        """The number of missed slots, at least 1."""
+        span = self.last_slot_utc - self.first_slot_utc
+        return span // timedelta(seconds=self.period_s) + 1
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationRecord:
+    """One calibration as stored: immutable once it has its id."""
+
+    created_utc: datetime
+    content: Mapping[str, Any]
+    """`Calibration.to_dict()`: plain JSON types, finite numbers."""
+    report: CalibrationReport
+    config_hash: str
+    version: str
+    frames: str | None = None
+    """The directory of its frame set, relative to the state directory or as the user gave it."""
+    id: int | None = None
+    """Given by the database."""
+
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration that `core.measurement` takes."""
+        return Calibration.from_dict(dict(self.content))
+
+
+@dataclass(frozen=True, slots=True)
+class EventRecord:
+    """Something that happened to the system, for those who read its history."""
+
+    time_utc: datetime
+    kind: str
+    """A short snake_case word, e.g. `started`, `camera_back`, `calibration_activated`."""
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """What became of every slot of a stretch of the schedule."""
+
+    expected: int
+    good: int
+    suspect: int
+    bad: int
+    missing: int
+    """Rows that say that there was nothing to measure (flag 9)."""
+    gaps: Mapping[GapCause, int]
+    """Missed slots by cause; causes without any are left out."""
+    unaccounted: int
+    """Slots with neither row nor gap; anything but 0 is a fault, or a slot still to come."""
+
+    @property
+    def measured(self) -> int:
+        """Slots with a row, whatever its flag."""
+        return self.good + self.suspect + self.bad + self.missing
+
+    @property
+    def missed(self) -> int:
+        """Slots in gaps."""
+        return sum(self.gaps.values())

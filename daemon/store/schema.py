@@ -1,0 +1,210 @@
+"""The tables, as SQLAlchemy sees them; the migrations make them (a test holds the two together).
+
+Times are TEXT in UTC, so that any SQLite tool reads them and their order is the order of time:
+slots `2026-03-01T00:00:00Z`, instants `2026-03-01T00:00:00.000000Z`.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any, ClassVar
+
+from sqlalchemy import CheckConstraint, Dialect, ForeignKey, Text, TypeDecorator
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+from daemon.store.records import GapCause
+
+
+def slot_text(slot_utc: datetime) -> str:
+    """A slot as the database, file names' tables and exports write it.
+
+    Raises ValueError for a time without zone or with a fraction of a second.
+    """
+    if slot_utc.tzinfo is None or slot_utc.microsecond:
+        msg = f"not a slot (whole seconds, with a time zone): {slot_utc.isoformat()}"
+        raise ValueError(msg)
+    return slot_utc.astimezone(UTC).replace(tzinfo=None).isoformat(timespec="seconds") + "Z"
+
+
+def instant_text(time_utc: datetime) -> str:
+    """A moment, to the microsecond. Raises ValueError for a time without zone."""
+    if time_utc.tzinfo is None:
+        msg = f"not a moment in UTC (no time zone): {time_utc.isoformat()}"
+        raise ValueError(msg)
+    return time_utc.astimezone(UTC).replace(tzinfo=None).isoformat(timespec="microseconds") + "Z"
+
+
+class Slot(TypeDecorator[datetime]):
+    """A slot time."""
+
+    impl = Text
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, _dialect: Dialect) -> str | None:
+        """Write."""
+        return None if value is None else slot_text(value)
+
+    def process_result_value(self, value: str | None, _dialect: Dialect) -> datetime | None:
+        """Read."""
+        return None if value is None else datetime.fromisoformat(value)
+
+
+class Instant(Slot):
+    """A moment to the microsecond."""
+
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, _dialect: Dialect) -> str | None:
+        """Write."""
+        return None if value is None else instant_text(value)
+
+
+class Cause(TypeDecorator[GapCause]):
+    """The cause of a gap."""
+
+    impl = Text
+    cache_ok = True
+
+    def process_bind_param(self, value: GapCause | None, _dialect: Dialect) -> str | None:
+        """Write."""
+        return None if value is None else GapCause(value).value
+
+    def process_result_value(self, value: str | None, _dialect: Dialect) -> GapCause | None:
+        """Read."""
+        return None if value is None else GapCause(value)
+
+
+class Base(DeclarativeBase):
+    """The one metadata."""
+
+    type_annotation_map: ClassVar[dict[Any, Any]] = {datetime: Slot, GapCause: Cause, str: Text}
+
+
+class MeasurementRow(Base):
+    """One slot of the schedule, measured. Ids grow in the order of writing: late rows too."""
+
+    __tablename__ = "measurement"
+    __table_args__ = (
+        CheckConstraint("flag IN (1, 3, 4, 9)", name="measurement_flag"),
+        CheckConstraint("(flag IN (1, 3)) = (x_mm IS NOT NULL)", name="measurement_value"),
+        CheckConstraint("slot_utc GLOB '????-??-??T??:??:??Z'", name="measurement_slot"),
+    )
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    slot_utc: Mapped[datetime] = mapped_column(unique=True)
+    flag: Mapped[int]
+    reasons: Mapped[str]
+    """Joined by `+`, empty when good."""
+
+    x_mm: Mapped[float | None]
+    y_mm: Mapped[float | None]
+    sigma_x_mm: Mapped[float | None]
+    sigma_y_mm: Mapped[float | None]
+    cov_xy_mm2: Mapped[float | None]
+    raw_x_mm: Mapped[float | None]
+    raw_y_mm: Mapped[float | None]
+    raw_sigma_x_mm: Mapped[float | None]
+    raw_sigma_y_mm: Mapped[float | None]
+    raw_cov_xy_mm2: Mapped[float | None]
+    rx_rad: Mapped[float | None]
+    ry_rad: Mapped[float | None]
+    rz_rad: Mapped[float | None]
+    tx_mm: Mapped[float | None]
+    ty_mm: Mapped[float | None]
+    tz_mm: Mapped[float | None]
+    motion_covariance: Mapped[str | None]
+    """JSON: the 21 numbers of the upper triangle, row by row, of (rx..rz, tx..tz)."""
+
+    discs_found: Mapped[int]
+    corners_used: Mapped[int]
+    main_residual_px: Mapped[float | None]
+    sub_residual_px: Mapped[float | None]
+    main_contrast_dn: Mapped[float | None]
+    sub_contrast_dn: Mapped[float | None]
+    main_blur_px: Mapped[float | None]
+    sub_blur_px: Mapped[float | None]
+
+    skew_s: Mapped[float | None]
+    main_exposure_us: Mapped[float | None]
+    main_gain_db: Mapped[float | None]
+    main_temperature_c: Mapped[float | None]
+    sub_exposure_us: Mapped[float | None]
+    sub_gain_db: Mapped[float | None]
+    sub_temperature_c: Mapped[float | None]
+    main_frame: Mapped[str | None]
+    sub_frame: Mapped[str | None]
+    captured_utc: Mapped[datetime | None] = mapped_column(Instant)
+    recorded_late: Mapped[bool]
+    calibration_id: Mapped[int | None] = mapped_column(ForeignKey("calibration.id"))
+    config_hash: Mapped[str]
+    version: Mapped[str]
+
+
+class GapRow(Base):
+    """Missed slots `start + k * period_s`, k = 0 .. slots - 1, with one cause."""
+
+    __tablename__ = "gap"
+    __table_args__ = (
+        CheckConstraint("period_s > 0 AND slots > 0", name="gap_positive"),
+        CheckConstraint(
+            "CAST(strftime('%s', end_utc) AS INTEGER) - CAST(strftime('%s', start_utc) AS INTEGER)"
+            " = (slots - 1) * period_s",
+            name="gap_slots",
+        ),
+    )
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    start_utc: Mapped[datetime] = mapped_column(unique=True)
+    end_utc: Mapped[datetime] = mapped_column(index=True)
+    slots: Mapped[int]
+    period_s: Mapped[int]
+    cause: Mapped[GapCause]
+    detail: Mapped[str]
+
+
+class CalibrationRow(Base):
+    """A calibration; triggers refuse UPDATE and DELETE."""
+
+    __tablename__ = "calibration"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    created_utc: Mapped[datetime] = mapped_column(Instant)
+    method: Mapped[str]
+    passed: Mapped[bool]
+    content: Mapped[str]
+    """JSON of `Calibration.to_dict()`."""
+    report: Mapped[str]
+    """JSON: lines and figures."""
+    frames: Mapped[str | None]
+    config_hash: Mapped[str]
+    version: Mapped[str]
+
+
+class ActivationRow(Base):
+    """Which calibration was made active when; the newest id holds."""
+
+    __tablename__ = "calibration_activation"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    calibration_id: Mapped[int] = mapped_column(ForeignKey("calibration.id"))
+    activated_utc: Mapped[datetime] = mapped_column(Instant)
+
+
+class EventRow(Base):
+    """Something that happened to the system."""
+
+    __tablename__ = "event"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    time_utc: Mapped[datetime] = mapped_column(Instant, index=True)
+    kind: Mapped[str]
+    detail: Mapped[str]
+
+
+class MarkRow(Base):
+    """Single values that survive a restart: heartbeat, clean stop, boot id."""
+
+    __tablename__ = "mark"
+
+    name: Mapped[str] = mapped_column(primary_key=True)
+    value: Mapped[str]
