@@ -105,8 +105,10 @@ def _describe_unknown(model: type[BaseModel], location: Location) -> str:
 
 def _nearest_name(model: type[BaseModel], location: Location) -> str | None:
     known = _known_names(model, location[:-1])
-    close = difflib.get_close_matches(str(location[-1]).lower(), known, n=1, cutoff=0.6)
-    return close[0] if close else None
+    written = str(location[-1]).lower()
+    close = difflib.get_close_matches(written, known, n=1, cutoff=0.6)
+    abbreviated = [name for name in known if name.startswith(written)]
+    return next(iter(close or abbreviated), None)
 
 
 def _known_names(model: type[BaseModel], section: Location) -> list[str]:

@@ -16,6 +16,7 @@ import click
 from sqlalchemy.exc import SQLAlchemyError
 
 from core.errors import CoreError
+from daemon.store.errors import StoreError
 from drivers.errors import DriverError
 
 
@@ -70,6 +71,7 @@ _EXIT_CODES: tuple[tuple[type[BaseException], ExitCode], ...] = (
     (click.UsageError, ExitCode.USAGE),
     (DriverError, ExitCode.HARDWARE),
     (CoreError, ExitCode.FAILED),
+    (StoreError, ExitCode.DATABASE),
     (SQLAlchemyError, ExitCode.DATABASE),
     (sqlite3.Error, ExitCode.DATABASE),
     (OSError, ExitCode.HARDWARE),

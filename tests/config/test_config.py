@@ -1,0 +1,253 @@
+"""A config loads as documented; whatever is wrong with one is said in one line with its key."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daemon.config import find_installation, load_config
+from daemon.errors import ConfigError
+
+MINIMAL = """
+[site]
+name = "pier-3"
+
+[camera.main]
+width_px = 1920
+height_px = 1200
+pixel_pitch_um = 5.86
+focal_length_mm = 800.0
+
+[camera.sub]
+width_px = 1920
+height_px = 1200
+pixel_pitch_um = 5.86
+focal_length_mm = 6.0
+
+[target.main]
+kind = "circles"
+centres_mm = [[-15.0, 11.0], [15.0, 11.0], [0.0, 0.0], [-15.0, -11.0], [15.0, -11.0]]
+diameter_mm = 8.0
+distance_mm = 11000.0
+distance_sigma_mm = 20.0
+
+[target.sub]
+kind = "checkerboard"
+squares_x = 32
+squares_y = 31
+square_mm = 2.0
+distance_mm = 50.0
+
+[rig]
+rotation_main_sub_deg = [0.0, 180.0, 0.0]
+rotation_sigma_deg = 1.0
+offset_main_sub_mm = [0.0, 0.0, -80.0]
+offset_sigma_mm = 3.0
+"""
+
+
+@pytest.fixture
+def write(tmp_path: Path):
+    """Write the minimal site, with pieces replaced, and give its path."""
+
+    def write(*changes: tuple[str, str], extra: str = "") -> Path:
+        text = MINIMAL
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new, 1)
+        path = tmp_path / "dcam.toml"
+        path.write_text(text + extra)
+        return path
+
+    return write
+
+
+def problems_of(path: Path) -> tuple[str, ...]:
+    with pytest.raises(ConfigError) as caught:
+        load_config(path)
+    for problem in caught.value.problems:
+        assert problem.startswith(f"{path}: ")
+        assert "\n" not in problem
+    return tuple(problem.removeprefix(f"{path}: ") for problem in caught.value.problems)
+
+
+def test_minimal_site_becomes_the_core_s_site(write) -> None:
+    site = load_config(write()).site()
+    assert site.main.focal_px == pytest.approx(800_000 / 5.86)
+    assert site.main_target.centres_mm.shape == (5, 2)
+    assert site.main_target.diameters_mm.tolist() == [8.0] * 5
+    assert (site.sub_target.squares_x, site.sub_target.squares_y) == (32, 31)
+    np.testing.assert_array_equal(site.rig.offset_main_sub_mm, [0.0, 0.0, -80.0])
+    assert site.quality.max_skew_ms == 20.0
+
+
+def test_whole_numbers_may_be_written_without_a_point(write) -> None:
+    assert load_config(write(("distance_mm = 11000.0", "distance_mm = 11000"))).site()
+
+
+def test_each_disc_may_have_its_own_diameter(write) -> None:
+    path = write(("diameter_mm = 8.0", "diameter_mm = [8, 8, 6.5, 8, 8]"))
+    assert load_config(path).site().main_target.diameters_mm.tolist() == [8, 8, 6.5, 8, 8]
+
+
+WRONG = [
+    # wrong unit in the key: the nearest known name
+    (
+        "distance_mm = 11000.0",
+        "distance_m = 11.0",
+        "target.main.distance_m: unknown key; did you mean target.main.distance_mm?",
+    ),
+    (
+        "pixel_pitch_um = 5.86",
+        "pixel_pitch_mm = 0.00586",
+        "camera.main.pixel_pitch_mm: unknown key; did you mean camera.main.pixel_pitch_um?",
+    ),
+    ("[site]", "[sight]", "sight: unknown key; did you mean site?"),
+    (
+        "squares_x = 32",
+        "squares_x = 32\nsquare_x = 32",
+        "target.sub.square_x: unknown key; did you mean target.sub.squares_x?",
+    ),
+    (
+        'name = "pier-3"',
+        'name = "pier-3"\nperiod_s = 60',
+        "site.period_s: unknown key; did you mean schedule.period_s?",
+    ),
+    ("[site]", "[zzz]\na = 1\n[site]", "zzz: unknown key; known here: site, camera, target"),
+    # wrong unit in the value: the likely unit
+    (
+        "distance_mm = 11000.0",
+        "distance_mm = 11.0",
+        "target.main.distance_mm: 11 mm is nearer than .* is this in metres",
+    ),
+    (
+        "distance_mm = 50.0",
+        "distance_mm = 0.05",
+        "target.sub.distance_mm: .* is this in metres",
+    ),
+    (
+        "distance_mm = 11000.0",
+        "distance_mm = 1.1e7",
+        "target.main.distance_mm: must be at most .* is this in micrometres",
+    ),
+    (
+        "focal_length_mm = 800.0",
+        "focal_length_mm = 0.8",
+        "camera.main.focal_length_mm: .* is this in metres",
+    ),
+    (
+        "pixel_pitch_um = 5.86",
+        "pixel_pitch_um = 0.00586",
+        "camera.main.pixel_pitch_um: .* is this in millimetres",
+    ),
+    ("square_mm = 2.0", "square_mm = 0.02", "target.sub.square_mm: .* is every unit right"),
+    ("diameter_mm = 8.0", "diameter_mm = 0.08", "target.main.diameter_mm: .* is every unit right"),
+    ("[-15.0, 11.0]", "[-500.0, 11.0]", "target.main.centres_mm: .* is every unit right"),
+    ("[0.0, 180.0, 0.0]", "[0.0, 3.14159, 0.0]", "rig.rotation_main_sub_deg: .* radians"),
+    # wrong sign, not finite, wrong type
+    (
+        "distance_mm = 11000.0",
+        "distance_mm = -11000.0",
+        r"target.main.distance_mm: must be greater than 0.*, is -11000.0$",
+    ),
+    ("offset_sigma_mm = 3.0", "offset_sigma_mm = -3.0", "rig.offset_sigma_mm: must be greater"),
+    ("distance_mm = 50.0", "distance_mm = nan", "target.sub.distance_mm: must be a finite number"),
+    ("180.0", "inf", r"rig.rotation_main_sub_deg\[1\]: must be a finite number, is inf"),
+    ("distance_mm = 50.0", 'distance_mm = "50"', "target.sub.distance_mm: must be a number, is"),
+    ("squares_x = 32", "squares_x = 31.5", "target.sub.squares_x: must be a whole number"),
+    ("squares_x = 32", "squares_x = true", "target.sub.squares_x: must be a whole number"),
+    ('name = "pier-3"', "name = 3", "site.name: must be a text in quotes"),
+    ('name = "pier-3"', 'name = ""', "site.name: must not be empty"),
+    ('"circles"', '"rings"', "target.main.kind: must be one of 'circles', is 'rings'"),
+    ("[camera.main]", '[camera.main]\nbackend = "v4l"', "camera.main.backend: must be one of"),
+    # what does not fit together
+    ("diameter_mm = 8.0", "diameter_mm = [8.0, 8.0]", "target.main.diameter_mm: 2 values for 5"),
+    ("diameter_mm = 8.0", "diameter_mm = 40.0", "target.main.centres_mm: discs 1 and 2 overlap"),
+    (
+        "centres_mm = [[-15.0, 11.0], [15.0, 11.0], [0.0, 0.0], [-15.0, -11.0], [15.0, -11.0]]",
+        "centres_mm = [[-15.0, 0.0], [15.0, 0.0], [0.0, 0.0]]",
+        "target.main.centres_mm: all discs lie on one line",
+    ),
+    ("[0.0, 0.0]", "[0.0]", r"target.main.centres_mm\[2\]\[1\]: missing"),
+    ("[0.0, 0.0]", "[0.0, 0.0, 0.0]", r"target.main.centres_mm\[2\]: must have at most 2 values"),
+    ("distance_mm = 50.0", "", "target.sub.distance_mm: missing"),
+    ("[rig]", "[rigg]", "rigg: unknown key; did you mean rig"),
+    # not TOML at all
+    ("[0.0, 180.0, 0.0]", "[0.0, 180.0", r"not valid TOML: .*line \d+"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "expected"), WRONG)
+def test_one_mistake_is_one_line(write, old: str, new: str, expected: str) -> None:
+    (problem,) = problems_of(write((old, new)))
+    assert re.match(expected, problem), problem
+
+
+def test_every_mistake_is_told_at_once(write) -> None:
+    path = write(("distance_mm = 50.0", "distance_cm = 5.0"), ("squares_x = 32", "squares_x = 0"))
+    assert len(problems_of(path)) == 2
+
+
+@pytest.mark.parametrize(
+    ("extra", "expected"),
+    [
+        ("[schedule]\nperiod_s = 0", "schedule.period_s: must be at least 1"),
+        ("[schedule]\nperiod_s = 0.5", "schedule.period_s: must be a whole number"),
+        ("[schedule]\noffset_s = 60", "schedule.offset_s: must be less than period_s = 60"),
+        ("[schedule]\nmax_late_s = 61", "schedule.max_late_s: must not exceed period_s"),
+        ("[exposure]\nmain_us = 0.005", "exposure.main_us: .* is this in milliseconds"),
+        ("[log]\nlevel = 'loud'", "log.level: must be one of"),
+        ("[storage]\ndir = '/tmp'", "storage.dir: unknown key; did you mean storage.directory"),
+        ("[web]\nport = 80", "web: unknown key; known here"),
+    ],
+)
+def test_optional_sections_are_checked_as_well(write, extra: str, expected: str) -> None:
+    (problem,) = problems_of(write(extra=extra))
+    assert re.match(expected, problem), problem
+
+
+def test_file_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "none.toml"
+    assert problems_of(path)[0].startswith("no such file; name one with --config")
+    path.write_bytes(b'[site]\nname = "\xff"\n')
+    assert "not UTF-8" in problems_of(path)[0]
+    path.unlink()
+    path.mkdir()
+    assert "cannot be read" in problems_of(path)[0]
+
+
+def test_hash_is_of_what_measures_and_not_of_how_it_is_written(write) -> None:
+    known = load_config(write()).config_hash()
+    assert re.fullmatch(r"[0-9a-f]{64}", known)
+    for change in [
+        ("distance_mm = 11000.0", "distance_mm = 11_000"),
+        ("diameter_mm = 8.0", "diameter_mm = [8, 8, 8, 8, 8]"),
+        ("[rig]", "[schedule]\nperiod_s = 30\n[storage]\ndirectory = '/data'\n[rig]"),
+        ("[rig]", "[quality]\nmax_sigma_mm = 0.5\n[rig]"),
+    ]:
+        assert load_config(write(change)).config_hash() == known
+    for change in [
+        ("distance_mm = 50.0", "distance_mm = 50.1"),
+        ("[rig]", "[quality]\nmax_sigma_mm = 0.4\n[rig]"),
+    ]:
+        assert load_config(write(change)).config_hash() != known
+
+
+def test_flag_before_environment_before_file_before_default(write, tmp_path: Path) -> None:
+    path = write(extra='[storage]\ndirectory = "data"')
+    environ = {"DCAM_CONFIG": str(path), "DCAM_STATE": "/from/environment"}
+
+    assert find_installation(None, Path("/from/flag"), environ).state_directory == Path(
+        "/from/flag"
+    )
+    assert find_installation(None, None, environ).state_directory == Path("/from/environment")
+    assert find_installation(path, None, {}).state_directory == tmp_path / "data"
+    assert find_installation(path, None, {"DCAM_STATE": ""}).state_directory == tmp_path / "data"
+    assert find_installation(write(), None, {}).state_directory == Path("/var/lib/dcam")
+
+    other = tmp_path / "other.toml"
+    with pytest.raises(ConfigError, match=r"other\.toml: no such file"):
+        find_installation(other, None, environ)
+    with pytest.raises(ConfigError, match=r"/etc/dcam/dcam\.toml: no such file"):
+        find_installation(None, None, {})
