@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -28,7 +28,6 @@ _TYPE_WORDS = {
     "path_type": "a text in quotes",
     "model_type": "a table",
     "model_attributes_type": "a table",
-    "datetime_type": "a time such as 2026-03-01T00:00:00Z",
 }
 _OTHER_UNITS = {
     # key ending: (what a value too small may be in, what a value too large may be in)
@@ -82,6 +81,8 @@ def _describe(item: ErrorDetails, model: type[BaseModel]) -> str:
         limit = context.get("max_length", context.get("min_length"))
         most = "at most" if kind == "too_long" else "at least"
         return f"must have {most} {limit} values, has {context['actual_length']}"
+    if kind.startswith(("datetime", "timezone", "time_zone")):
+        return f"must be a time in UTC such as 2026-03-01T00:00:00Z, is {value}"
     if kind == "string_too_short":
         return "must not be empty"
     return f"{item['msg']}, is {value!r}"
@@ -112,7 +113,7 @@ def _nearest_name(model: type[BaseModel], location: Location) -> str | None:
 
 
 def _known_names(model: type[BaseModel], section: Location) -> list[str]:
-    for name in section:
+    for name in (part for part in section if isinstance(part, str)):
         inner = next((_section(field) for key, field in _fields(model) if key == name), None)
         if inner is None:
             return []
@@ -135,9 +136,11 @@ def _fields(model: type[BaseModel]) -> list[tuple[str, Any]]:
 
 
 def _section(field: Any) -> type[BaseModel] | None:
-    annotation = field.annotation
-    is_section = isinstance(annotation, type) and issubclass(annotation, BaseModel)
-    return annotation if is_section else None
+    """Give the model of a table, or of each table in a list of tables."""
+    for annotation in (field.annotation, *get_args(field.annotation)):
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            return annotation
+    return None
 
 
 def _unit_hint(item: ErrorDetails) -> str:

@@ -199,6 +199,19 @@ def test_every_mistake_is_told_at_once(write) -> None:
         ("[exposure]\nmain_us = 0.005", "exposure.main_us: .* is this in milliseconds"),
         ("[log]\nlevel = 'loud'", "log.level: must be one of"),
         ("[storage]\ndir = '/tmp'", "storage.dir: unknown key; did you mean storage.directory"),
+        (
+            "[simulation]\nstart_utc = 2026-03-01T00:00:00",
+            "simulation.start_utc: must be a time in",
+        ),
+        ("[simulation]\nstart_utc = 'noon'", "simulation.start_utc: must be a time in UTC such as"),
+        (
+            "[[simulation.scenarios]]\nkind = 'fog'",
+            r"simulation.scenarios\[0\].kind: must be one of .*'snow'",
+        ),
+        (
+            "[[simulation.scenarios]]\nkind = 'snow'\nstart_m = 3",
+            r"simulation.scenarios\[0\].start_m: unknown key; did you mean .*\.start_min",
+        ),
         ("[web]\nport = 80", "web: unknown key; known here"),
     ],
 )

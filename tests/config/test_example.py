@@ -3,12 +3,12 @@
 import re
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from daemon.config import Config, load_config
+from daemon.config import Config, SimulationSection, load_config
 
 EXAMPLE = Path(__file__).parents[2] / "config.example.toml"
 TEXT = EXAMPLE.read_text()
@@ -17,9 +17,8 @@ LEFT_OUT = re.compile(r"^# (\w+ = .*)$", re.MULTILINE)
 
 WRITTEN = tomllib.loads(TEXT)
 WHOLE = tomllib.loads(LEFT_OUT.sub(r"\1", TEXT))
-CHOSEN_FOR_THE_EXAMPLE = {"camera.main.backend", "camera.sub.backend"} | {
-    "camera.main.serial",
-    "camera.sub.serial",
+CHOSEN_FOR_THE_EXAMPLE = {
+    f"camera.{role}.{key}" for role in ("main", "sub") for key in ("backend", "serial")
 }
 """Not required by every command, so the model has no default; the example shows a real site."""
 
@@ -27,8 +26,9 @@ CHOSEN_FOR_THE_EXAMPLE = {"camera.main.backend", "camera.sub.backend"} | {
 def flatten(tables: dict[str, Any], above: str = "") -> dict[str, Any]:
     keys: dict[str, Any] = {}
     for name, value in tables.items():
-        if isinstance(value, dict):
-            keys |= flatten(value, f"{above}{name}.")
+        table = value[0] if isinstance(value, list) and isinstance(value[0], dict) else value
+        if isinstance(table, dict):
+            keys |= flatten(table, f"{above}{name}.")
         else:
             keys[f"{above}{name}"] = value
     return keys
@@ -39,8 +39,13 @@ def model_defaults(model: type[BaseModel], above: str = "") -> dict[str, Any]:
     keys: dict[str, Any] = {}
     for name, field in model.model_fields.items():
         dotted = f"{above}{field.alias or name}"
-        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
-            keys |= model_defaults(field.annotation, f"{dotted}.")
+        inner = [
+            part
+            for part in (field.annotation, *get_args(field.annotation))
+            if isinstance(part, type) and issubclass(part, BaseModel)
+        ]
+        if inner:
+            keys |= model_defaults(inner[0], f"{dotted}.")
         else:
             keys[dotted] = field.get_default(call_default_factory=True)
     return keys
@@ -67,6 +72,10 @@ def test_example_states_every_default() -> None:
         expected = list(expected) if isinstance(expected, tuple) else expected
         assert shown == expected, key
         assert type(shown) is type(expected), key
+
+
+def test_example_lists_the_scenarios_that_happen_by_default() -> None:
+    assert load_config(EXAMPLE).simulation == SimulationSection()
 
 
 def test_example_writes_as_comments_only_what_has_no_default() -> None:
