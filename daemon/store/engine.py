@@ -17,6 +17,7 @@ from daemon.store.errors import (
     DatabaseBusyError,
     DatabaseDamagedError,
     DatabaseUnwritableError,
+    DiskFullError,
     StoreError,
 )
 
@@ -33,12 +34,7 @@ _PRAGMAS: tuple[tuple[str, str, object], ...] = (
 
 _DAMAGED = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
 _BUSY = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_PROTOCOL}
-_UNWRITABLE = {
-    sqlite3.SQLITE_FULL,
-    sqlite3.SQLITE_IOERR,
-    sqlite3.SQLITE_READONLY,
-    sqlite3.SQLITE_CANTOPEN,
-}
+_UNWRITABLE = {sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN}
 
 
 def connect(path: Path) -> sqlite3.Connection:
@@ -149,9 +145,11 @@ def _translate(path: Path, error: BaseException | None) -> StoreError:
         return DatabaseBusyError(
             f"{path}: another program holds it locked ({error}): close that program"
         )
+    if code == sqlite3.SQLITE_FULL:
+        return DiskFullError(f"{path}: the disk is full: free some space")
     if code in _UNWRITABLE:
         return DatabaseUnwritableError(
-            f"{path}: {error}: check free space, permissions and the health of the disk"
+            f"{path}: {error}: check permissions and the health of the disk"
         )
     return StoreError(f"{path}: {error}")
 

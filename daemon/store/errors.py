@@ -1,4 +1,4 @@
-"""Errors of the database: each says which file, what is wrong, and what to do, in one line."""
+"""Errors of database and frame archive, in one line: which file, what is wrong, what to do."""
 
 from __future__ import annotations
 
@@ -36,8 +36,21 @@ class DatabaseBusyError(StoreError):
 
 
 class DatabaseUnwritableError(StoreError):
-    """The disk is full, read-only or failing."""
+    """The disk is read-only or failing, or the file may not be written."""
 
+    retry = True
+
+
+class DiskFullError(StoreError):
+    """There is no space left for a row or a frame."""
+
+    retry = True
+
+
+class ArchiveError(StoreError):
+    """A frame could not be written to the archive, for another reason than space."""
+
+    exit_code = 4
     retry = True
 
 

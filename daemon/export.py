@@ -1,0 +1,102 @@
+"""Measurements as CSV: the columns of `reprocess` first, then everything else a row knows."""
+
+from __future__ import annotations
+
+import csv
+import os
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import TextIO
+
+from core.results import Measurement
+from daemon.store.convert import measurement_row
+from daemon.store.durable import fsync_directory, temporary_name
+from daemon.store.records import MeasurementRecord
+from daemon.store.schema import MeasurementRow, instant_text, slot_text
+
+RESULT_COLUMNS = (
+    *("slot_utc", "flag", "reasons", "x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm"),
+    *("raw_x_mm", "raw_y_mm", "rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"),
+)
+"""What `reprocess` writes; the interface that scripts rely on."""
+
+EXTRA_COLUMNS = tuple(
+    column.name
+    for column in MeasurementRow.__table__.columns
+    if column.name not in {"id", *RESULT_COLUMNS}
+)
+"""What `export` adds, in the order of the database."""
+
+
+def write_results(results: Iterable[tuple[datetime, Measurement]], output: TextIO) -> int:
+    """Write slots and what was measured in them, line by line; give the number of rows."""
+    records = (
+        MeasurementRecord(slot_utc, measurement, config_hash="", version="")
+        for slot_utc, measurement in results
+    )
+    return _write(records, RESULT_COLUMNS, output)
+
+
+def write_records(records: Iterable[MeasurementRecord], output: TextIO) -> int:
+    """Write stored rows with all their columns, line by line; give the number of rows.
+
+    Numbers keep all their digits; what a row does not have is empty.
+    """
+    return _write(records, RESULT_COLUMNS + EXTRA_COLUMNS, output)
+
+
+@contextmanager
+def opened_output(path: Path | None) -> Iterator[TextIO]:
+    """Open a file to write a table to, or stdout for None.
+
+    The file appears, or replaces an older one, complete and durable, or not at all; devices and
+    pipes are written to as they are. Raises OSError.
+    """
+    if path is None:
+        yield sys.stdout
+        sys.stdout.flush()
+    elif path.exists() and not path.is_file():
+        with path.open("w", encoding="utf-8", newline="") as file:
+            yield file
+    else:
+        with _replacing(path) as file:
+            yield file
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[TextIO]:
+    path = path.resolve()  # a link is followed, not replaced
+    temporary = temporary_name(path)
+    try:
+        with temporary.open("w", encoding="utf-8", newline="") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    fsync_directory(path.parent)
+
+
+def _write(records: Iterable[MeasurementRecord], columns: tuple[str, ...], output: TextIO) -> int:
+    table = csv.writer(output, lineterminator="\n")
+    table.writerow(columns)
+    count = 0
+    for record in records:
+        row = measurement_row(record)
+        table.writerow([_cell(name, getattr(row, name)) for name in columns])
+        count += 1
+    return count
+
+
+def _cell(name: str, value: object) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, datetime):
+        return slot_text(value) if name == "slot_utc" else instant_text(value)
+    return repr(value) if isinstance(value, float) else str(value)
