@@ -37,6 +37,8 @@ class Reason(StrEnum):
     SIGMA_TOO_LARGE = "sigma_too_large"
     NOT_SIMULTANEOUS = "not_simultaneous"
     NO_CALIBRATION = "no_calibration"
+    INTERNAL_ERROR = "internal_error"
+    """The program broke on this pair; its log says where. The frames are kept."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -81,8 +81,8 @@ _EXIT_CODES: tuple[tuple[type[BaseException], ExitCode], ...] = (
 
 def exit_code_of(error: BaseException) -> ExitCode:
     """Give the exit code that an error stands for; what nobody foresaw is 1."""
-    if isinstance(error, DcamError):
-        return error.exit_code
+    if isinstance(error, DcamError | StoreError):
+        return ExitCode(error.exit_code)
     return next((code for kind, code in _EXIT_CODES if isinstance(error, kind)), ExitCode.FAILED)
 
 
