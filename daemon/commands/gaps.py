@@ -1,0 +1,62 @@
+"""`dcam-ctl gaps`: slots without a measurement, and why."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+import click
+
+from daemon.commands.options import Options, common_options, json_option, pass_options, span_options
+from daemon.commands.output import print_json, print_table, say, utc_text
+from daemon.store.database import ALWAYS, NEVER, open_store_readonly
+from daemon.store.records import GapRecord
+
+
+@click.command("gaps", epilog="\b\nExample:\n  dcam-ctl gaps --since 30d")
+@span_options
+@json_option
+@common_options
+@pass_options
+def command(
+    options: Options, since: datetime | None, until: datetime | None, as_json: bool
+) -> None:
+    """List slots without a measurement: first and last missed slot, how many, cause."""
+    with open_store_readonly(options.state) as store:
+        gaps = store.gaps(since or ALWAYS, until or NEVER)
+    if as_json:
+        print_json({"command": "gaps", "gaps": [gap_fields(gap) for gap in gaps]})
+    else:
+        print_gaps(gaps)
+
+
+def print_gaps(gaps: list[GapRecord]) -> None:
+    """Print gaps as a table with their sum below it."""
+    if not gaps:
+        say("no gaps")
+        return
+    print_table(
+        ("first slot", "last slot", "slots", "cause", "detail"),
+        [
+            (
+                utc_text(gap.first_slot_utc),
+                utc_text(gap.last_slot_utc),
+                str(gap.slots),
+                gap.cause.value,
+                gap.detail,
+            )
+            for gap in gaps
+        ],
+    )
+    say(f"{len(gaps)} gap(s), {sum(gap.slots for gap in gaps)} slots missed")
+
+
+def gap_fields(gap: GapRecord) -> dict[str, object]:
+    """A gap for `--json`."""
+    return {
+        "start_utc": gap.first_slot_utc,
+        "end_utc": gap.last_slot_utc,
+        "slots": gap.slots,
+        "period_s": gap.period_s,
+        "cause": gap.cause,
+        "detail": gap.detail,
+    }

@@ -1,0 +1,148 @@
+"""Options that the commands share: which config, which state, which span of time."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from daemon.config import Config, Installation, find_installation
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+@dataclass(slots=True)
+class Options:
+    """What was said on the command line, before and after the command's name."""
+
+    config_flag: Path | None = None
+    state_flag: Path | None = None
+    _found: Installation | None = field(default=None, repr=False)
+
+    @property
+    def installation(self) -> Installation:
+        """Config and state directory, read once: flag > environment > file > default."""
+        if self._found is None:
+            self._found = find_installation(self.config_flag, self.state_flag)
+        return self._found
+
+    @property
+    def config(self) -> Config:
+        """The checked config. Raises ConfigError."""
+        return self.installation.config
+
+    @property
+    def state(self) -> Path:
+        """The state directory: database and frames.
+
+        Where it is named, no config is needed to find it: a copied state can be read anywhere.
+        """
+        named = self.state_flag or os.environ.get("DCAM_STATE")
+        return Path(named).absolute() if named else self.installation.state_directory
+
+
+pass_options = click.make_pass_decorator(Options, ensure=True)
+
+
+def common_options(function: Function) -> Function:
+    """Add `--config`, `--state` and `--debug`; the first two end in the context's `Options`."""
+    for add in (
+        click.option(
+            "--debug",
+            is_flag=True,
+            expose_value=False,
+            help="Show where an error came from.",
+        ),
+        click.option(
+            "--state",
+            "state_flag",
+            type=click.Path(path_type=Path, file_okay=False),
+            metavar="DIR",
+            callback=_keep,
+            expose_value=False,
+            help="Database and frames; else $DCAM_STATE, else [storage] directory.",
+        ),
+        click.option(
+            "--config",
+            "config_flag",
+            type=click.Path(path_type=Path, dir_okay=False),
+            metavar="FILE",
+            callback=_keep,
+            expose_value=False,
+            help="The config; else $DCAM_CONFIG, else /etc/dcam/dcam.toml.",
+        ),
+    ):
+        function = add(function)
+    return function
+
+
+def _keep(ctx: click.Context, parameter: click.Parameter, value: Path | None) -> None:
+    if value is not None and parameter.name is not None:
+        setattr(ctx.ensure_object(Options), parameter.name, value)
+
+
+json_option = click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON object, for programs."
+)
+
+
+def output_option(function: Function) -> Function:
+    """Add `--output FILE`; the command gets a path, or None for stdout."""
+    return click.option(
+        "--output",
+        type=click.Path(path_type=Path, dir_okay=False, allow_dash=True),
+        metavar="FILE",
+        default="-",
+        show_default=True,
+        callback=lambda _ctx, _parameter, path: None if str(path) == "-" else path,
+        help="Where to write; - is stdout.",
+    )(function)
+
+
+class UtcTime(click.ParamType):
+    """A time in UTC: ISO 8601, a date, or how long ago (`90m`, `24h`, `30d`)."""
+
+    name = "time"
+    _AGO = re.compile(r"(?P<count>\d+(\.\d+)?)(?P<unit>[smhdw])")
+    _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 604800}
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> datetime:
+        """Give a timezone-aware UTC time; a time without a zone is UTC."""
+        if isinstance(value, datetime):
+            return value
+        text = str(value).strip()
+        if ago := self._AGO.fullmatch(text):
+            seconds = float(ago["count"]) * self._SECONDS[ago["unit"]]
+            return datetime.now(UTC) - timedelta(seconds=seconds)
+        try:
+            when = datetime.fromisoformat(text)
+        except ValueError:
+            self.fail(
+                f"{text!r} is not a time; write 2026-03-01, 2026-03-01T06:00:00Z, or 24h for "
+                "24 hours ago",
+                param,
+                ctx,
+            )
+        return when.replace(tzinfo=UTC) if when.tzinfo is None else when.astimezone(UTC)
+
+
+def span_options(function: Function) -> Function:
+    """Add `--since` and `--until`."""
+    until = click.option(
+        "--until", type=UtcTime(), metavar="TIME", help="Before this time, UTC; default: no end."
+    )
+    since = click.option(
+        "--since",
+        type=UtcTime(),
+        metavar="TIME",
+        help="From this time on, UTC: 2026-03-01, 2026-03-01T06:00:00Z, 24h, 30d.",
+    )
+    return since(until(function))

@@ -1,0 +1,81 @@
+"""`dcam-ctl`, the engineer's tool: options that every command has, and the table of commands.
+
+A command's module is loaded only when that command runs: `status` is asked every minute by a
+monitoring system, and must not wait for the numerics.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+
+import click
+
+from daemon.commands.options import Options, common_options
+from daemon.errors import run
+
+COMMANDS = {
+    "check": "Check config, state and clock; with --hardware cameras too.",
+    "calibrate": "Calibrate from a frame set or with the pan-tilt head.",
+    "capture": "Take and measure one pair now, and print it.",
+    "status": "Last value, cameras, coverage, gaps, disk; Nagios exit codes.",
+    "gaps": "List slots without a measurement, and why.",
+    "export": "Write measurements as a table.",
+    "reprocess": "Measure kept frames or a frame set again.",
+    "demo": "The whole system on a simulated rig, against the known truth.",
+}
+"""Name and one line of each command, in the order of `--help`; code in `daemon.commands.<name>`."""
+
+
+class Commands(click.Group):
+    """A group that imports a command's module when the command is wanted."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Give the names in the order an engineer meets them."""
+        del ctx
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import a command; None for a name that is none."""
+        del ctx
+        if cmd_name not in COMMANDS:
+            return None
+        command = importlib.import_module(f"daemon.commands.{cmd_name}").command
+        return command if isinstance(command, click.Command) else None
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the table of commands without importing them."""
+        del ctx
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(
+    cls=Commands,
+    no_args_is_help=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="\b\nExample:\n  dcam-ctl --config dcam.toml status\n  dcam-ctl calibrate --help",
+)
+@click.version_option(package_name="dcam", prog_name="dcam-ctl")
+@common_options
+@click.pass_context
+def cli(ctx: click.Context) -> None:
+    """Operate a dual-camera bridge displacement system.
+
+    Options may stand before or after the command. All times are UTC.
+
+    \b
+    Exit codes: 0 done, 1 the work failed, 2 usage, 3 config, 4 hardware or I/O, 5 database;
+    those of status: 0 OK, 1 warning, 2 critical, 3 unknown.
+    """
+    ctx.ensure_object(Options)
+
+
+def main() -> int:
+    """Run `dcam-ctl` and give its exit code."""
+    return run(cli, "dcam-ctl")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
