@@ -8,7 +8,7 @@ from sqlalchemy import Integer, cast, func, select
 from sqlalchemy.orm import Session
 
 from core.results import Flag
-from daemon.store.gaps import gaps_touching, overlap, run_of, slot_at, unix_s
+from daemon.store.gaps import gaps_touching, next_second, overlap, run_of, slot_at, unix_s
 from daemon.store.records import Coverage, GapCause
 from daemon.store.schema import MeasurementRow
 
@@ -18,9 +18,9 @@ def schedule_slots(since: datetime, until: datetime, period_s: int, offset_s: in
     if period_s < 1:
         msg = f"not a period: {period_s} s"
         raise ValueError(msg)
-    start = _ceil_s(since)
+    start = unix_s(next_second(since))
     first = start + (offset_s - start) % period_s
-    return range(first, max(first, _ceil_s(until)), period_s)
+    return range(first, max(first, unix_s(next_second(until))), period_s)
 
 
 def coverage(session: Session, slots: range) -> Coverage:
@@ -56,7 +56,3 @@ def _rows_by_flag(
         .group_by(MeasurementRow.flag)
     )
     return {Flag(flag): count for flag, count in session.execute(query)}
-
-
-def _ceil_s(time_utc: datetime) -> int:
-    return unix_s(time_utc) + (time_utc.microsecond > 0)

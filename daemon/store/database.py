@@ -159,6 +159,7 @@ class Store:
         Read in pages, each in a transaction of its own: a slow reader of many years keeps
         neither memory nor the write-ahead log.
         """
+        since, until = gap_runs.next_second(since), gap_runs.next_second(until)
         after = since - timedelta(seconds=1) if since > ALWAYS else since
         while True:
             page = self._page(after, until)
@@ -170,6 +171,7 @@ class Store:
     def measured_slots(self, since: datetime = ALWAYS, until: datetime = NEVER) -> set[datetime]:
         """The slots that have a row, since <= slot < until."""
         column = MeasurementRow.slot_utc
+        since, until = gap_runs.next_second(since), gap_runs.next_second(until)
         query = select(column).where(column >= since, column < until)
         with self._read() as session:
             return set(session.scalars(query))
@@ -214,6 +216,7 @@ class Store:
 
     def gaps(self, since: datetime = ALWAYS, until: datetime = NEVER) -> list[GapRecord]:
         """Gaps with at least one moment in since <= t < until, whole, in order."""
+        since, until = gap_runs.next_second(since), gap_runs.next_second(until)
         with self._read() as session:
             rows = gap_runs.gaps_touching(session, since, until)
             return [gap_runs.gap_record(row) for row in rows if row.start_utc < until]

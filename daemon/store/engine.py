@@ -9,7 +9,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from sqlalchemy import Connection, Engine, create_engine, event
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import DBAPIError, StatementError
 from sqlalchemy.pool import QueuePool
 
 from daemon.store.durable import fsync_directory, fsync_file
@@ -131,6 +131,10 @@ def translated(path: Path) -> Iterator[None]:
         yield
     except DBAPIError as error:
         raise _translate(path, error.orig) from error
+    except StatementError as error:
+        if isinstance(error.orig, ValueError):  # a value that no column can hold
+            raise error.orig from None
+        raise
     except sqlite3.Error as error:
         raise _translate(path, error) from error
 

@@ -27,6 +27,13 @@ def slot_at(unix: int) -> datetime:
     return EPOCH + timedelta(seconds=unix)
 
 
+def next_second(time_utc: datetime) -> datetime:
+    """The first whole second from a moment on; as a limit it parts slots just as the moment."""
+    if not time_utc.microsecond:
+        return time_utc
+    return time_utc.replace(microsecond=0) + timedelta(seconds=1)
+
+
 def run_between(first: datetime, last: datetime, period_s: int) -> range:
     """The slots from `first` to `last`, both included.
 
