@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib
 import sys
-from pathlib import Path
 
 import click
 
@@ -61,7 +60,7 @@ class Commands(click.Group):
 @common_options
 @click.pass_context
 def cli(ctx: click.Context) -> None:
-    """Operate a dual-camera bridge displacement system.
+    r"""Operate a dual-camera bridge displacement system.
 
     Options may stand before or after the command. All times are UTC.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -82,11 +83,9 @@ def series_of(
 
 def require_matplotlib() -> None:
     """Raise MissingLibraryError, which says how to install it, unless matplotlib is there."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
+    if importlib.util.find_spec("matplotlib") is None:
         msg = "no figure: matplotlib is not installed; pip install 'dcam[plot]'"
-        raise MissingLibraryError(msg) from None
+        raise MissingLibraryError(msg)
 
 
 def draw(series: Series, gaps: Sequence[GapSpan], title: str, path: Path) -> None:
@@ -112,9 +111,9 @@ def draw(series: Series, gaps: Sequence[GapSpan], title: str, path: Path) -> Non
         _mark_gaps(panel, gaps)
         panel.grid(alpha=0.25, linewidth=0.5)
         panel.legend(loc="upper left", bbox_to_anchor=(1.005, 1.0), fontsize=8, frameon=False)
-    locator = AutoDateLocator()
+    locator = AutoDateLocator()  # type: ignore[no-untyped-call]
     panels[-1].xaxis.set_major_locator(locator)
-    panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))
+    panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
     panels[-1].set_xlabel("UTC")
     figure.savefig(path, dpi=110)
 
@@ -178,9 +177,7 @@ def _error(panel: Axes, series: Series) -> None:
 def _motion(panel: Axes, series: Series, values: FloatArray, label: str, symbol: str) -> None:
     times: Any = list(series.times)
     for axis, name in enumerate("xyz"):
-        panel.plot(
-            times, values[:, axis], color=AXES[axis], linewidth=1.2, label=f"{symbol}{name}"
-        )
+        panel.plot(times, values[:, axis], color=AXES[axis], linewidth=1.2, label=f"{symbol}{name}")
     panel.set_ylabel(f"rig {label}")
 
 

@@ -105,43 +105,39 @@ def output_option(function: Function) -> Function:
     )(function)
 
 
-class UtcTime(click.ParamType):
-    """A time in UTC: ISO 8601, a date, or how long ago (`90m`, `24h`, `30d`)."""
+_AGO = re.compile(r"(?P<count>\d+(\.\d+)?)(?P<unit>[smhdw])")
+_UNIT_S = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 604800}
 
-    name = "time"
-    _AGO = re.compile(r"(?P<count>\d+(\.\d+)?)(?P<unit>[smhdw])")
-    _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 604800}
 
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> datetime:
-        """Give a timezone-aware UTC time; a time without a zone is UTC."""
-        if isinstance(value, datetime):
-            return value
-        text = str(value).strip()
-        if ago := self._AGO.fullmatch(text):
-            seconds = float(ago["count"]) * self._SECONDS[ago["unit"]]
-            return datetime.now(UTC) - timedelta(seconds=seconds)
-        try:
-            when = datetime.fromisoformat(text)
-        except ValueError:
-            self.fail(
-                f"{text!r} is not a time; write 2026-03-01, 2026-03-01T06:00:00Z, or 24h for "
-                "24 hours ago",
-                param,
-                ctx,
-            )
-        return when.replace(tzinfo=UTC) if when.tzinfo is None else when.astimezone(UTC)
+def utc_time(_ctx: click.Context, _parameter: click.Parameter, text: str | None) -> datetime | None:
+    """Read a time in UTC: ISO 8601, a date, or how long ago (`90m`, `24h`, `30d`).
+
+    A time without a zone is UTC. Raises click.BadParameter.
+    """
+    if text is None:
+        return None
+    if ago := _AGO.fullmatch(text.strip()):
+        seconds = float(ago["count"]) * _UNIT_S[ago["unit"]]
+        return datetime.now(UTC) - timedelta(seconds=seconds)
+    try:
+        when = datetime.fromisoformat(text.strip())
+    except ValueError:
+        msg = (
+            f"{text!r} is not a time; write 2026-03-01, 2026-03-01T06:00:00Z, or 24h for "
+            "24 hours ago"
+        )
+        raise click.BadParameter(msg) from None
+    return when.replace(tzinfo=UTC) if when.tzinfo is None else when.astimezone(UTC)
 
 
 def span_options(function: Function) -> Function:
     """Add `--since` and `--until`."""
     until = click.option(
-        "--until", type=UtcTime(), metavar="TIME", help="Before this time, UTC; default: no end."
+        "--until", callback=utc_time, metavar="TIME", help="Before this time, UTC; default: no end."
     )
     since = click.option(
         "--since",
-        type=UtcTime(),
+        callback=utc_time,
         metavar="TIME",
         help="From this time on, UTC: 2026-03-01, 2026-03-01T06:00:00Z, 24h, 30d.",
     )

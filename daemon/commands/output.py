@@ -17,6 +17,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+from daemon.export import RESULT_COLUMNS
+from daemon.store.convert import measurement_row
+from daemon.store.records import MeasurementRecord
+
 JSON_SCHEMA = 1
 
 
@@ -50,6 +54,16 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def measurement_fields(record: MeasurementRecord | None) -> dict[str, Any] | None:
+    """A row for `--json`: the columns of `reprocess`, with the same names."""
+    if record is None:
+        return None
+    row = measurement_row(record)
+    fields = {name: getattr(row, name) for name in RESULT_COLUMNS}
+    fields["reasons"] = [reason.value for reason in record.measurement.reasons]
+    return fields
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -1,0 +1,187 @@
+"""What is known of a site right now, from its disk alone: the facts behind `status`.
+
+Nothing here asks a camera or the daemon, so that looking never disturbs a slot.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+
+from core.results import Flag
+from daemon.config import Config
+from daemon.lock import LOCK_NAME
+from daemon.store.database import Store
+from daemon.store.records import (
+    CalibrationRecord,
+    Coverage,
+    GapCause,
+    GapRecord,
+    Mark,
+    MeasurementRecord,
+)
+
+DAY = timedelta(days=1)
+MONTH = timedelta(days=30)
+CAMERA_CAUSES = frozenset({GapCause.CAMERA_LOST, GapCause.CAPTURE_FAILED})
+
+_TIME_ERROR = 5
+"""What adjtimex(2) answers as long as nothing disciplines the clock."""
+
+
+@dataclass(frozen=True, slots=True)
+class Disk:
+    """Room for the state directory."""
+
+    free_bytes: int
+    total_bytes: int
+    days_left: float | None
+    """At the size of the last pair kept, one pair a period; None as long as there is no pair."""
+
+
+@dataclass(frozen=True, slots=True)
+class Daemon:
+    """What the last dcamd left behind."""
+
+    running: bool | None
+    """None where the kernel does not tell."""
+    heartbeat_utc: str | None
+    clean_stop_utc: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What was found, before anyone judges it."""
+
+    site: str
+    now_utc: datetime
+    period_s: int
+    first_slot_utc: datetime | None
+    """The first slot that the database accounts for."""
+    last: MeasurementRecord | None
+    last_good: MeasurementRecord | None
+    """Within 30 days before the last row."""
+    calibration: CalibrationRecord | None
+    config_hash: str
+    coverage_24h: Coverage
+    coverage_30d: Coverage
+    gaps: tuple[GapRecord, ...]
+    """Of 30 days, in order."""
+    daemon: Daemon
+    disk: Disk
+    simulated_clock: bool
+    clock_synchronised: bool | None
+    """None for a simulated clock, and where the kernel does not tell."""
+
+
+def look(config: Config, state: Path, store: Store, now_utc: datetime) -> Facts:
+    """Collect the facts of a site as of a time. Raises StoreError, OSError."""
+    accounted = store.accounted()
+    first = accounted[0] if accounted else None
+    last_slot = store.last_slot()
+    last = store.measurement(last_slot) if last_slot else None
+    simulated = has_stepped_clock(config)
+    return Facts(
+        site=config.name,
+        now_utc=now_utc,
+        period_s=config.schedule.period_s,
+        first_slot_utc=first,
+        last=last,
+        last_good=_last_good(store, last),
+        calibration=store.active_calibration(),
+        config_hash=config.config_hash(),
+        coverage_24h=_coverage(config, store, first, now_utc, DAY),
+        coverage_30d=_coverage(config, store, first, now_utc, MONTH),
+        gaps=tuple(store.gaps(now_utc - MONTH, now_utc)),
+        daemon=Daemon(
+            running=dcamd_runs(state),
+            heartbeat_utc=store.get_mark(Mark.HEARTBEAT_UTC),
+            clean_stop_utc=store.get_mark(Mark.CLEAN_STOP_UTC),
+        ),
+        disk=_disk(state, last, config.schedule.period_s),
+        simulated_clock=simulated,
+        clock_synchronised=None if simulated else clock_is_synchronised(),
+    )
+
+
+def has_stepped_clock(config: Config) -> bool:
+    """Tell whether the site's time is simulated and not the machine's."""
+    return config.camera.main.backend == "simulated" and config.simulation.clock == "stepped"
+
+
+def dcamd_runs(state: Path) -> bool | None:
+    """Tell whether a dcamd holds this state directory; None where the kernel does not tell.
+
+    Read from /proc/locks: to try the lock would stop a dcamd that starts at the same instant.
+    """
+    try:
+        inode = (state / LOCK_NAME).stat().st_ino
+    except OSError:
+        return False
+    try:
+        locks = Path("/proc/locks").read_text(encoding="ascii")
+    except OSError:
+        return None
+    return any(f":{inode} " in line and "FLOCK" in line for line in locks.splitlines())
+
+
+def clock_is_synchronised() -> bool | None:
+    """Ask the kernel whether something (NTP, PTP) disciplines the clock; None: it does not say."""
+    try:
+        # A zeroed struct timex only reads; 512 bytes are more than it has on any platform.
+        answer = ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(512))
+    except (OSError, AttributeError):
+        return None
+    return None if answer < 0 else answer != _TIME_ERROR
+
+
+def _coverage(
+    config: Config, store: Store, first: datetime | None, now_utc: datetime, span: timedelta
+) -> Coverage:
+    """Account for the slots of a span that are over; the one in progress is not."""
+    schedule = config.schedule
+    until = now_utc - timedelta(seconds=schedule.period_s)
+    since = now_utc - span if first is None else max(first, now_utc - span)
+    return store.coverage(
+        since if first else until,
+        until,
+        period_s=schedule.period_s,
+        offset_s=schedule.offset_s,
+    )
+
+
+def _last_good(store: Store, last: MeasurementRecord | None) -> MeasurementRecord | None:
+    """The latest row flagged good, found in steps that double: mostly it is the last one."""
+    if last is None or last.measurement.flag is Flag.GOOD:
+        return last
+    until, hours = last.slot_utc, 1
+    while hours <= MONTH // timedelta(hours=1):
+        since = until - timedelta(hours=hours)
+        good = [
+            row for row in store.measurements(since, until) if row.measurement.flag is Flag.GOOD
+        ]
+        if good:
+            return good[-1]
+        until, hours = since, 2 * hours
+    return None
+
+
+def _disk(state: Path, last: MeasurementRecord | None, period_s: int) -> Disk:
+    usage = shutil.disk_usage(state)
+    pair_bytes = sum(_sizes(state, last))
+    bytes_per_day = pair_bytes * DAY.total_seconds() / period_s
+    return Disk(
+        free_bytes=usage.free,
+        total_bytes=usage.total,
+        days_left=usage.free / bytes_per_day if bytes_per_day else None,
+    )
+
+
+def _sizes(state: Path, last: MeasurementRecord | None) -> Iterator[int]:
+    for name in (last.main_frame, last.sub_frame) if last else ():
+        if name is not None and (state / name).exists():
+            yield (state / name).stat().st_size
