@@ -1,0 +1,134 @@
+"""Coming back: account for the time without a daemon, and measure what was left half done.
+
+Everything here may be cut off and done again: a gap once recorded stays as it is, and a pair that
+has its row is no longer looked at.
+"""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import structlog
+
+from daemon.pipeline import Pipeline, record_late
+from daemon.schedule import Schedule
+from daemon.store.database import Store
+from daemon.store.errors import StoreError
+from daemon.store.records import EPOCH, GapCause, Mark
+from daemon.store.schema import instant_text, slot_text
+
+_log = structlog.get_logger("dcam.daemon")
+
+LOOK_BACK = timedelta(days=7)
+"""How far before the last row pairs without a row are looked for: the archive may hold years."""
+
+BOOT_ID_FILE = Path("/proc/sys/kernel/random/boot_id")
+
+
+def read_boot_id() -> str:
+    """Give the kernel's name for this run of the machine: another one means it was off between."""
+    return BOOT_ID_FILE.read_text(encoding="ascii").strip()
+
+
+def recover(line: Pipeline, schedule: Schedule, boot_id: str) -> datetime | None:
+    """Bring the record up to the present; give the last slot that is accounted for.
+
+    Slots since the last finished one become a gap with the cause of the absence; pairs without a
+    row are measured and recorded late, which takes their slots out of the gap again. Raises
+    StoreError.
+    """
+    cause, detail = why_absent(line.store, boot_id)
+    close_gap(line, schedule, cause, detail)
+    mark_start(line, boot_id)
+    last_row = line.store.last_slot()
+    since = EPOCH if last_row is None else last_row - LOOK_BACK
+    line.archive.mend(since)
+    measure_orphans(line, since)
+    # Late rows take their time; what was missed meanwhile has the same cause.
+    return close_gap(line, schedule, cause, detail)
+
+
+def why_absent(store: Store, boot_id: str) -> tuple[GapCause, str]:
+    """Tell why there was no daemon until now, from the marks that the last one left."""
+    last_boot_id = store.get_mark(Mark.BOOT_ID)
+    stopped_utc = store.get_mark(Mark.CLEAN_STOP_UTC)
+    seen_utc = store.get_mark(Mark.HEARTBEAT_UTC)
+    if stopped_utc is not None:
+        return GapCause.STOPPED, f"stopped at {stopped_utc}"
+    if last_boot_id is None:
+        return GapCause.STOPPED, "dcamd had not run before"
+    if last_boot_id != boot_id:
+        return GapCause.POWER_LOSS, f"the machine went down without a stop; last seen {seen_utc}"
+    return GapCause.CRASH, f"dcamd ended without a stop; last seen {seen_utc}"
+
+
+def close_gap(line: Pipeline, schedule: Schedule, cause: GapCause, detail: str) -> datetime | None:
+    """Put the slots since the last finished one, up to the next one, into a gap.
+
+    Gives the last slot accounted for, None when the record has not begun. Raises StoreError.
+    """
+    finished = _mark_time(line.store, Mark.HEARTBEAT_UTC)
+    accounted = line.store.accounted()
+    last = accounted[1] if accounted else finished
+    if last is None:
+        return None
+    next_slot = schedule.next_slot(line.clock.now_utc(), last)
+    # A row taken by hand may lie after the last slot that the daemon finished.
+    missed = schedule.missed_between(min(last, finished or last), next_slot)
+    if missed is None:
+        return last
+    count = line.store.record_gap(
+        missed.first_utc, missed.last_utc, cause, detail, period_s=schedule.period_s
+    )
+    if count:
+        _log.warning(
+            "gap_recorded",
+            first=slot_text(missed.first_utc),
+            last=slot_text(missed.last_utc),
+            slots=count,
+            cause=cause.value,
+            detail=detail,
+        )
+    return max(last, missed.last_utc)
+
+
+def measure_orphans(line: Pipeline, since: datetime) -> int:
+    """Measure the stored pairs without a row, each recorded under its own slot; give how many.
+
+    A row that the database refuses stays an orphan. Raises StoreError when it cannot be read.
+    """
+    late = 0
+    for slot_utc in line.archive.orphans(line.store.measured_slots(since), since):
+        try:
+            record_late(line, slot_utc)
+        except StoreError as error:
+            _log.error("late_row_refused", slot=slot_text(slot_utc), error=str(error))
+            continue
+        late += 1
+    return late
+
+
+def mark_start(line: Pipeline, boot_id: str) -> None:
+    """Note that a daemon runs: from now on its absence is a crash or a loss of power."""
+    accounted = line.store.accounted()
+    now_utc = line.clock.now_utc()
+    # A clock that woke in the past must not move the beginning of the next gap there.
+    mark_finished(line.store, max(now_utc, accounted[1]) if accounted else now_utc)
+    line.store.set_mark(Mark.BOOT_ID, boot_id)
+    line.store.set_mark(Mark.CLEAN_STOP_UTC, None)
+
+
+def mark_finished(store: Store, time_utc: datetime) -> None:
+    """Note up to when every slot has its row or gap."""
+    store.set_mark(Mark.HEARTBEAT_UTC, instant_text(time_utc))
+
+
+def mark_stop(store: Store, now_utc: datetime) -> None:
+    """Note that the daemon ended as it was told to."""
+    store.set_mark(Mark.CLEAN_STOP_UTC, instant_text(now_utc))
+
+
+def _mark_time(store: Store, mark: Mark) -> datetime | None:
+    text = store.get_mark(mark)
+    return None if text is None else datetime.fromisoformat(text)

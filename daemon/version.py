@@ -1,0 +1,7 @@
+"""The version that every row names."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+
+VERSION = version("dcam")
