@@ -140,7 +140,7 @@ def translated(path: Path) -> Iterator[None]:
 
 
 def _translate(path: Path, error: BaseException | None) -> StoreError:
-    code = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the rest is SQLite's extension
+    code = _code(error)
     if code in _DAMAGED:
         return DatabaseDamagedError(
             f"{path}: damaged ({error}): move it aside and restore a backup"
@@ -156,6 +156,10 @@ def _translate(path: Path, error: BaseException | None) -> StoreError:
             f"{path}: {error}: check permissions and the health of the disk"
         )
     return StoreError(f"{path}: {error}")
+
+
+def _code(error: BaseException | None) -> int:
+    return int(getattr(error, "sqlite_errorcode", 0)) & 0xFF  # the rest is SQLite's extension
 
 
 def quick_check(path: Path) -> None:
@@ -175,10 +179,9 @@ def backup(source: Path, target: Path) -> None:
     It is made in one step: a copy in several would start over with every commit between them.
     """
     temporary = target.with_name(f".{target.name}.tmp")
-    temporary.unlink(missing_ok=True)
     try:
+        temporary.write_bytes(b"")
         with (
-            translated(source),
             closing(connect_readonly(source)) as original,
             closing(sqlite3.connect(temporary, isolation_level=None)) as copy,
         ):
@@ -191,5 +194,8 @@ def backup(source: Path, target: Path) -> None:
     except OSError as error:
         msg = f"{target}: cannot write the backup ({error.strerror}): choose another place"
         raise DatabaseUnwritableError(msg) from error
+    except sqlite3.Error as error:
+        damaged = _code(error) in _DAMAGED  # the copy is new: damage is the original's
+        raise _translate(source if damaged else target, error) from error
     finally:
         temporary.unlink(missing_ok=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any, ClassVar
 
-from sqlalchemy import CheckConstraint, Dialect, ForeignKey, Text, TypeDecorator
+from sqlalchemy import CheckConstraint, Dialect, Float, ForeignKey, Text, TypeDecorator
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from daemon.store.records import GapCause
@@ -77,7 +77,12 @@ class Cause(TypeDecorator[GapCause]):
 class Base(DeclarativeBase):
     """The one metadata."""
 
-    type_annotation_map: ClassVar[dict[Any, Any]] = {datetime: Slot, GapCause: Cause, str: Text}
+    type_annotation_map: ClassVar[dict[Any, Any]] = {
+        datetime: Slot,
+        GapCause: Cause,
+        str: Text,
+        float: Float(),  # SQLAlchemy's own choice changed between 2.0 and 2.1
+    }
 
 
 class MeasurementRow(Base):
