@@ -1,0 +1,84 @@
+"""The two simulated cameras: the same face as the real ones, on the world and a clock."""
+
+from __future__ import annotations
+
+import math
+from datetime import datetime
+
+from drivers.errors import DeviceLostError, FrameTimeoutError
+from drivers.protocols import CapturedFrame, Clock, Role
+from drivers.sim.world import World
+
+
+class SimulatedCamera:
+    """A camera of the simulated rig; implements `drivers.protocols.Camera`.
+
+    The image is that of the instant of the trigger. Under a stepped clock that is the slot itself,
+    so a run is reproducible to the last grey value. While a `camera_loss` scenario is on, the
+    camera is gone: every call raises DeviceLostError until it is over and `open` is called.
+    """
+
+    exposure_us = 2000.0
+
+    def __init__(self, world: World, role: Role, clock: Clock, serial: str = "") -> None:
+        self._world = world
+        self._role: Role = role
+        self._clock = clock
+        self._serial = serial or f"simulated-{role}"
+        self._open = False
+        self._frame_id = 0
+        self._triggered: tuple[datetime, float] | None = None
+
+    @property
+    def serial(self) -> str:
+        """The serial number from the config."""
+        return self._serial
+
+    def open(self) -> None:
+        """Connect; fails while a camera loss is on."""
+        self._open = True
+        self._require_present()
+
+    def arm(self) -> None:
+        """Forget a frame that was triggered and never fetched."""
+        self._require_present()
+        self._triggered = None
+
+    def trigger(self) -> None:
+        """Expose now."""
+        self._require_present()
+        self._triggered = (self._clock.now_utc(), self._clock.monotonic_s())
+        self._frame_id += 1
+
+    def fetch(self, timeout_s: float) -> CapturedFrame:
+        """Render what was there at the trigger; takes no simulated time."""
+        self._require_present()
+        if self._triggered is None:
+            msg = (
+                f"{self._role} camera {self._serial}: no frame in {timeout_s:g} s; trigger it first"
+            )
+            raise FrameTimeoutError(msg, self._role)
+        (when_utc, monotonic_s), self._triggered = self._triggered, None
+        hour = when_utc.hour + when_utc.minute / 60.0
+        return CapturedFrame(
+            pixels=self._world.render(self._role, when_utc),
+            bits=self._world.settings.sensor.bits,
+            frame_id=self._frame_id,
+            camera_time_ns=round(monotonic_s * 1e9),
+            trigger_monotonic_s=monotonic_s,
+            exposure_us=self.exposure_us,
+            gain_db=0.0,
+            temperature_c=round(35.0 - 8.0 * math.cos(math.tau * (hour - 3.0) / 24.0), 2),
+        )
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._open = False
+        self._triggered = None
+
+    def _require_present(self) -> None:
+        if self._open and not self._world.active("camera_loss", self._clock.now_utc(), self._role):
+            return
+        self.close()
+        msg = f"{self._role} camera {self._serial}: not there; check its cable and power"
+        raise DeviceLostError(msg, self._role)

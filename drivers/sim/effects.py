@@ -1,0 +1,78 @@
+"""What weather and animals do to an image; each draws on it in place, before the lens blurs it."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from core.site import FloatArray
+from drivers.sim.kernels import Float32Array
+
+SHIFT = 4
+"""Fractional bits of OpenCV's drawing coordinates."""
+
+SUBPIXELS = 16.0
+
+INSECT_GREY = 0.03
+SNOW_GREY = 0.8
+
+
+def draw_insect(
+    image: Float32Array, at_px: FloatArray, length_px: float, rng: np.random.Generator
+) -> None:
+    """Put a dark oval body with six legs on the image (height, width), reflectance."""
+    mask = np.zeros(image.shape, np.uint8)
+    heading = rng.uniform(0.0, math.pi)
+    along = np.array([math.cos(heading), math.sin(heading)])
+    across = np.array([-along[1], along[0]])
+    axes = (_fixed(0.5 * length_px), _fixed(0.22 * length_px))
+    degrees = math.degrees(heading)
+    cv2.ellipse(mask, _point(at_px), axes, degrees, 0, 360, 255, -1, cv2.LINE_AA, SHIFT)
+    width = max(1, round(0.04 * length_px))
+    for station in (-0.25, 0.0, 0.25):
+        for side in (-1.0, 1.0):
+            root = at_px + station * length_px * along
+            bend = rng.uniform(-0.2, 0.2) + station
+            foot = root + length_px * (0.42 * side * across + 0.6 * bend * along)
+            cv2.line(mask, _point(root), _point(foot), 255, width, cv2.LINE_AA, SHIFT)
+    _cover(image, mask, INSECT_GREY)
+
+
+def draw_snow(image: Float32Array, rng: np.random.Generator) -> None:
+    """Let flakes of all sizes fall before a veiled scene of lower contrast."""
+    image *= 0.75
+    image += 0.08
+    height, width = image.shape
+    mask = np.zeros(image.shape, np.uint8)
+    for _ in range(120):
+        at_px = rng.uniform(0.0, 1.0, 2) * (width, height)
+        radius_px = width / 1920.0 * rng.lognormal(1.2, 0.5)
+        axes = (_fixed(radius_px), _fixed(radius_px * rng.uniform(1.0, 3.0)))
+        tilt = rng.uniform(-25.0, 25.0)
+        strength = rng.integers(120, 255)
+        cv2.ellipse(mask, _point(at_px), axes, tilt, 0, 360, int(strength), -1, cv2.LINE_AA, SHIFT)
+    _cover(image, mask, SNOW_GREY)
+
+
+def draw_glare(image: Float32Array, rng: np.random.Generator) -> None:
+    """Add a bright patch of scattered light that saturates its middle."""
+    height, width = image.shape
+    middle = rng.uniform(0.2, 0.8, 2) * (width, height)
+    across = np.exp(-0.5 * ((np.arange(width) - middle[0]) / (0.12 * width)) ** 2)
+    down = np.exp(-0.5 * ((np.arange(height) - middle[1]) / (0.12 * width)) ** 2)
+    image += (0.9 * np.outer(down, across)).astype(np.float32)
+
+
+def _cover(image: Float32Array, mask: np.ndarray, grey: float) -> None:
+    opacity = mask.astype(np.float32) / np.float32(255.0)
+    image += opacity * (np.float32(grey) - image)
+
+
+def _fixed(value: float) -> int:
+    return round(value * SUBPIXELS)
+
+
+def _point(at_px: FloatArray) -> tuple[int, int]:
+    return _fixed(at_px[0]), _fixed(at_px[1])

@@ -1,0 +1,212 @@
+"""One simulated world: a true rig that truly moves, seen by two cameras. It knows the truth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+
+from core.pose import Pose
+from core.site import FloatArray, Site
+from drivers.protocols import Image, Role
+from drivers.sim.effects import draw_glare, draw_insect, draw_snow
+from drivers.sim.geometry import TrueGeometry, build_geometry, held_board_pose
+from drivers.sim.motion import TrueMotion
+from drivers.sim.render import CameraRenderer, Look
+from drivers.sim.settings import Scenario, ScenarioKind, SimSettings
+
+PLATE_MARGIN = 1.75
+"""Black plate beyond the outermost disc centres, in disc diameters."""
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What is true at an instant, relative to a reference instant."""
+
+    displacement_mm: FloatArray
+    """(2,) of the main target in WM: x right, y up."""
+    false_mm: FloatArray
+    """(2,) false displacement: what the rig's motion alone makes of the target's centre."""
+    motion: Pose
+    """Rig motion `T_CSj_CS1`."""
+    cases: tuple[ScenarioKind, ...]
+    """What disturbs the images: night, an insect ..."""
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    """Where rig and bridge are."""
+
+    T_CSj_CS0: Pose
+    """CS0 is the sub-camera at rest."""
+    bridge_mm: FloatArray
+    """(3,) in WM."""
+
+
+class World:
+    """A rig built from a site's drawing, with its head, drift, bridge, weather and cameras."""
+
+    def __init__(self, site: Site, settings: SimSettings) -> None:
+        self.site = site
+        self.settings = settings
+        self.geometry: TrueGeometry = build_geometry(site, settings)
+        self._motion = TrueMotion(settings)
+        self._head_deg = (0.0, 0.0)
+        self._held: tuple[int, Pose] | None = None
+        optics, uphill = settings.optics, np.random.default_rng([settings.seed, 3]).uniform(0, 6.28)
+        main = Look(optics.main_blur_px, optics.corner_blur, optics.main_shading, uphill)
+        sub = Look(optics.sub_blur_px, optics.corner_blur, optics.sub_shading, uphill + 2.0)
+        self._renderers = {
+            "main": CameraRenderer(site.main, self.geometry.main, main, settings.sensor),
+            "sub": CameraRenderer(site.sub, self.geometry.sub, sub, settings.sensor),
+        }
+        target = site.main_target
+        self._discs = np.column_stack([target.centres_mm, target.diameters_mm / 2.0])
+        margin = PLATE_MARGIN * float(target.diameters_mm.max())
+        low, high = target.centres_mm.min(axis=0), target.centres_mm.max(axis=0)
+        self._plate = np.concatenate([low - margin, high + margin])
+
+    # ------------------------------------------------------------------ what moves the rig
+
+    def turn_head(self, pan_deg: float, tilt_deg: float) -> None:
+        """Put the pan-tilt head at these true angles."""
+        self._head_deg = (pan_deg, tilt_deg)
+
+    def hold_board(self, number: int | None) -> None:
+        """Hold the board by hand before the sub-camera, in pose `number`; None: bonded again."""
+        if number is None:
+            self._held = None
+            return
+        rng = np.random.default_rng([self.settings.seed, 4, number])
+        self._held = (number, held_board_pose(self.site, self.geometry, rng))
+
+    # ------------------------------------------------------------------ what is true
+
+    def truth(self, t_utc: datetime, reference_utc: datetime | None = None) -> Truth:
+        """Give the truth, the head where it is now, relative to a reference with the head at rest.
+
+        Without a reference time the reference is the rig at rest, as before `start_utc`.
+        """
+        now = self._state(t_utc)
+        if reference_utc is None:
+            reference = _State(Pose.identity(), np.zeros(3))
+        else:
+            minute = self._minute(reference_utc)
+            reference = _State(self._motion.drift(minute), self._motion.bridge_mm(minute))
+        origin_px = self._project_main(reference, np.zeros((1, 3)))[0]
+        moved_px = self._project_main(_State(now.T_CSj_CS0, reference.bridge_mm), np.zeros((1, 3)))
+        false_mm = np.linalg.solve(self._px_per_mm(reference), moved_px[0] - origin_px)
+        return Truth(
+            displacement_mm=(now.bridge_mm - reference.bridge_mm)[:2],
+            false_mm=false_mm,
+            motion=now.T_CSj_CS0.compose(reference.T_CSj_CS0.inverse()),
+            cases=tuple(
+                kind
+                for kind in ("night", "insect_main", "insect_sub", "snow", "glare", "camera_loss")
+                if self.active(kind, t_utc)
+            ),
+        )
+
+    def active(self, kind: ScenarioKind, t_utc: datetime, role: Role | None = None) -> bool:
+        """Tell whether a scenario is on, for this camera if one is named."""
+        minute = self._minute(t_utc)
+        return any(
+            _strikes(scenario, role) and scenario.minutes_inside(minute) is not None
+            for scenario in self.settings.scenarios
+            if scenario.kind == kind
+        )
+
+    def disc_centres_px(self, t_utc: datetime) -> FloatArray:
+        """True images (n, 2) of the disc centres in the main camera."""
+        centres = self.site.main_target.centres_mm
+        return self._project_main(
+            self._state(t_utc), np.column_stack([centres, np.zeros(len(centres))])
+        )
+
+    def board_corners_px(self, t_utc: datetime) -> FloatArray:
+        """True images (squares_y + 1, squares_x + 1, 2) of all line crossings in the sub-camera."""
+        corners = self.geometry.board.corners_mm()
+        seen = self._board_pose(self._state(t_utc)).apply(corners.reshape(-1, 3))
+        return self.geometry.sub.project(seen).reshape(*corners.shape[:2], 2)
+
+    # ------------------------------------------------------------------ what the cameras see
+
+    def render(self, role: Role, t_utc: datetime) -> Image:
+        """Render one camera's image; the same instant gives the same image, noise and all."""
+        number = self._held[0] + 1 if self._held else 0
+        moment_us = round(t_utc.timestamp() * 1e6)
+        rng = np.random.default_rng([self.settings.seed, 5, role == "sub", number, moment_us])
+        optics, state = self.settings.optics, self._state(t_utc)
+        renderer = self._renderers[role]
+        if role == "main":
+            greys = np.array([optics.main_white, optics.main_black, optics.main_grey])
+            image = renderer.discs(self._target_pose(state), self._discs, self._plate, greys)
+            if self.active("insect_main", t_utc):
+                at_px = self.disc_centres_px(t_utc)[rng.integers(len(self._discs))]
+                draw_insect(image, at_px + rng.normal(size=2), self._insect_px("main"), rng)
+        else:
+            pose, board = self._board_pose(state), self.geometry.board
+            image = renderer.board(pose, board, optics.sub_white, optics.sub_black)
+            if self.active("insect_sub", t_utc):
+                view = np.array([self.site.sub.width_px, self.site.sub.height_px])
+                at_px = view * rng.uniform(0.35, 0.65, 2)
+                draw_insect(image, at_px, self._insect_px("sub"), rng)
+        if self.active("snow", t_utc, role):
+            draw_snow(image, rng)
+        lit = renderer.lit(image, self._light(role, t_utc))
+        if self.active("glare", t_utc, role):
+            draw_glare(lit, rng)
+        return renderer.expose(lit, optics.pedestal, rng)
+
+    # ------------------------------------------------------------------ inside
+
+    def _minute(self, t_utc: datetime) -> float:
+        return (t_utc - self.settings.start_utc).total_seconds() / 60.0
+
+    def _state(self, t_utc: datetime) -> _State:
+        minute = self._minute(t_utc)
+        turned = self.geometry.head_pose(*self._head_deg).inverse()
+        return _State(turned.compose(self._motion.drift(minute)), self._motion.bridge_mm(minute))
+
+    def _target_pose(self, state: _State) -> Pose:
+        """`T_CMj_WM`: through the rig, because the main camera is bolted to the sub-camera."""
+        T_CM_CS = self.geometry.T_CM_CS
+        T_CMj_CM0 = T_CM_CS.compose(state.T_CSj_CS0).compose(T_CM_CS.inverse())
+        moved = Pose(np.eye(3), state.bridge_mm)
+        return T_CMj_CM0.compose(self.geometry.T_CM_WM).compose(moved)
+
+    def _board_pose(self, state: _State) -> Pose:
+        return self._held[1] if self._held else state.T_CSj_CS0.compose(self.geometry.T_CS_WS)
+
+    def _project_main(self, state: _State, points_mm: FloatArray) -> FloatArray:
+        return self.geometry.main.project(self._target_pose(state).apply(points_mm))
+
+    def _px_per_mm(self, state: _State) -> FloatArray:
+        """`B~` (2, 2) of Eq. 7 at the target's centre, by central differences over 2 mm."""
+        steps = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
+        px = self._project_main(state, steps)
+        return np.column_stack([px[0] - px[1], px[2] - px[3]]) / 2.0
+
+    def _light(self, role: Role, t_utc: datetime) -> float:
+        optics = self.settings.optics
+        if self.active("night", t_utc, role):
+            return optics.night_light
+        phase = 0.3 * self.settings.seed + (1.0 if role == "main" else 0.0)
+        return 1.0 + optics.light_change * math.sin(self._minute(t_utc) / 37.0 + phase)
+
+    def _insect_px(self, role: Role) -> float:
+        """Length of an insect: a disc and a half, or five squares of the board."""
+        if role == "main":
+            size_mm, away_mm = (
+                1.5 * self._discs[:, 2].max() * 2.0,
+                self.site.main_target.distance_mm,
+            )
+            return float(size_mm * self.site.main.focal_px / away_mm)
+        target = self.site.sub_target
+        return 5.0 * target.square_mm * self.site.sub.focal_px / target.distance_mm
+
+
+def _strikes(scenario: Scenario, role: Role | None) -> bool:
+    return role is None or scenario.role is None or scenario.role == role
