@@ -45,6 +45,7 @@ def load_config(path: Path) -> Config:
     problems = _contradictions(config) or implausible_values(config.site())
     if problems:
         raise ConfigError(*(f"{path}: {problem}" for problem in problems))
+    config._path = path  # noqa: SLF001 - ours to fill in: a file does not name itself
     return config
 
 

@@ -20,6 +20,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    PrivateAttr,
     Strict,
     ValidationInfo,
 )
@@ -305,6 +306,13 @@ class Config(Section):
     log: LogSection = LogSection()
     replay: ReplaySection = ReplaySection()
     simulation: SimulationSection = SimulationSection()
+
+    _path: Path = PrivateAttr(default=Path("dcam.toml"))
+
+    @property
+    def path(self) -> Path:
+        """The file that this was read from, for messages."""
+        return self._path
 
     @property
     def name(self) -> str:

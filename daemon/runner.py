@@ -1,0 +1,165 @@
+"""The slot loop: waits for a slot, runs it, accounts for it, and never dies of what it meets."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+import structlog
+
+from daemon.notify import Notifier
+from daemon.pipeline import Missed, Pipeline, record_late, run_slot
+from daemon.recovery import mark_finished
+from daemon.schedule import MissedSlots, Schedule
+from daemon.store.errors import StoreError
+from daemon.store.records import GapCause, MeasurementRecord
+from daemon.store.schema import slot_text
+from drivers.protocols import FramePairSource
+
+_log = structlog.get_logger("dcam.daemon")
+
+
+@dataclass(frozen=True, slots=True)
+class _Owed:
+    """A gap that is to be recorded as soon as the database takes it."""
+
+    missed: MissedSlots
+    cause: GapCause
+    detail: str
+
+
+class SlotRunner:
+    """Runs slot after slot on the clock of its pipeline, real or stepped."""
+
+    def __init__(
+        self,
+        line: Pipeline,
+        schedule: Schedule,
+        source: FramePairSource,
+        stop: threading.Event,
+        last_utc: datetime | None,
+        notifier: Notifier,
+    ) -> None:
+        self._line = line
+        self._schedule = schedule
+        self._source = source
+        self._stop = stop
+        self._notifier = notifier
+        self._last = last_utc
+        """The last slot that is accounted for, or owed."""
+        self._owed: deque[_Owed] = deque()
+        self._seen = self._look_at_clocks()
+        self._clock_trouble = ""
+        """What was wrong with the wall clock since the last slot."""
+        self._failing: GapCause | None = None
+        """Why the slot before had no row."""
+
+    def run(self, max_slots: int | None = None) -> int:
+        """Run until told to stop, or until so many slots have been run; give how many were."""
+        done = 0
+        while not self._stop.is_set() and (max_slots is None or done < max_slots):
+            slot = self._next_slot()
+            self._settle_debts()
+            if not self._line.clock.wait_until(slot, self._stop):
+                break
+            self._watch_clock()
+            if self._schedule.is_too_late(slot, self._line.clock.now_utc()):
+                continue
+            self._run(slot)
+            done += 1
+        self._settle_debts()
+        return done
+
+    def _next_slot(self) -> datetime:
+        """Choose the next slot; those that have gone by unused become a gap."""
+        self._watch_clock()
+        slot = self._schedule.next_slot(self._line.clock.now_utc(), self._last)
+        missed = self._schedule.missed_between(self._last, slot) if self._last else None
+        if missed is not None:
+            if self._clock_trouble:
+                self._owe(missed, GapCause.CLOCK_WRONG, self._clock_trouble)
+            else:
+                self._owe(missed, GapCause.OVERRUN, "the slot before took too long")
+        return slot
+
+    def _run(self, slot: datetime) -> None:
+        outcome = run_slot(self._line, slot, self._source)
+        self._clock_trouble = ""
+        if isinstance(outcome, Missed):
+            self._owe(MissedSlots(slot, slot, 1), outcome.cause, outcome.detail)
+            state = f"missed: {outcome.cause.value}"
+        else:
+            self._last = slot
+            state = f"done: {outcome.measurement.flag.name.lower()}"
+        self._notifier.status(f"slot {slot_text(slot)} {state}")
+        self._settle_debts()
+        self._mark_finished(slot, outcome)
+
+    def _owe(self, missed: MissedSlots, cause: GapCause, detail: str) -> None:
+        self._owed.append(_Owed(missed, cause, detail))
+        self._last = missed.last_utc
+
+    def _settle_debts(self) -> None:
+        """Record the gaps that are owed; a pair kept without its row is measured instead."""
+        while self._owed:
+            owed = self._owed[0]
+            try:
+                self._settle(owed)
+            except StoreError as error:
+                _log.error("gap_not_recorded", cause=owed.cause.value, error=str(error))
+                return
+            self._owed.popleft()
+
+    def _settle(self, owed: _Owed) -> None:
+        line, missed = self._line, owed.missed
+        until = missed.last_utc + timedelta(seconds=1)
+        for slot in line.archive.orphans(
+            line.store.measured_slots(missed.first_utc, until), missed.first_utc
+        ):
+            if slot < until:
+                record_late(line, slot)
+        line.store.record_gap(
+            missed.first_utc,
+            missed.last_utc,
+            owed.cause,
+            owed.detail,
+            period_s=self._schedule.period_s,
+        )
+
+    def _mark_finished(self, slot: datetime, outcome: MeasurementRecord | Missed) -> None:
+        cause = outcome.cause if isinstance(outcome, Missed) else None
+        if self._owed:
+            return
+        try:
+            mark_finished(self._line.store, slot)
+            if cause != self._failing:
+                self._note_change(slot, cause)
+        except StoreError as error:
+            _log.error("mark_not_set", error=str(error))
+
+    def _note_change(self, slot: datetime, cause: GapCause | None) -> None:
+        """Enter in the history when slots begin to fail, for which cause, and when that ends."""
+        kind = cause.value if cause else "slots_again"
+        self._line.store.add_event(self._line.clock.now_utc(), kind, f"slot {slot_text(slot)}")
+        self._failing = cause
+
+    def _look_at_clocks(self) -> tuple[datetime, float]:
+        return self._line.clock.now_utc(), self._line.clock.monotonic_s()
+
+    def _watch_clock(self) -> None:
+        """Notice a wall clock that was stepped, or that is before the last slot."""
+        utc, monotonic_s = self._look_at_clocks()
+        step_s = (utc - self._seen[0]).total_seconds() - (monotonic_s - self._seen[1])
+        self._seen = utc, monotonic_s
+        if abs(step_s) > self._schedule.max_late_s:
+            self._note_clock(f"the clock was stepped by {step_s:+.0f} s, or the machine slept")
+        late = timedelta(seconds=self._schedule.max_late_s)
+        if self._last is not None and utc < self._last - late and not self._clock_trouble:
+            self._note_clock(f"the clock said {utc:%Y-%m-%dT%H:%M:%SZ}, before the last slot")
+
+    def _note_clock(self, trouble: str) -> None:
+        _log.warning("clock_wrong", detail=trouble)
+        if not self._clock_trouble:
+            self._clock_trouble = trouble
