@@ -154,7 +154,8 @@ class SlotRunner:
         step_s = (utc - self._seen[0]).total_seconds() - (monotonic_s - self._seen[1])
         self._seen = utc, monotonic_s
         if abs(step_s) > self._schedule.max_late_s:
-            self._note_clock(f"the clock was stepped by {step_s:+.0f} s, or the machine slept")
+            slept = ", or the machine slept" if step_s > 0 else ""
+            self._note_clock(f"the clock was stepped by {step_s:+.0f} s{slept}")
         late = timedelta(seconds=self._schedule.max_late_s)
         if self._last is not None and utc < self._last - late and not self._clock_trouble:
             self._note_clock(f"the clock said {utc:%Y-%m-%dT%H:%M:%SZ}, before the last slot")

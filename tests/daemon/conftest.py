@@ -1,0 +1,115 @@
+"""A small site on a stepped clock, with a pair source that does as it is told."""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.site import (
+    CameraGeometry,
+    CheckerboardTarget,
+    CirclesTarget,
+    QualityLimits,
+    RigPrior,
+    Site,
+)
+from daemon.notify import Notifier
+from daemon.pipeline import Pipeline
+from daemon.recovery import recover
+from daemon.runner import SlotRunner
+from daemon.schedule import Schedule
+from daemon.store.database import open_store
+from daemon.store.frames import FrameArchive
+from drivers.clock import SteppedClock
+from drivers.protocols import CapturedFrame, CapturedPair
+
+START = datetime(2026, 3, 1, 11, 59, 30, tzinfo=UTC)
+SIZE = (48, 64)
+CAMERA = CameraGeometry(width_px=64, height_px=48, pixel_pitch_um=5.86, focal_length_mm=6.0)
+SITE = Site(
+    main=CAMERA,
+    sub=CAMERA,
+    main_target=CirclesTarget(np.eye(3, 2), np.ones(3), 1000.0, 1.0),
+    sub_target=CheckerboardTarget(8, 7, 2.0, 50.0),
+    rig=RigPrior(np.zeros(3), 1.0, np.zeros(3), 1.0),
+    quality=QualityLimits(),
+)
+
+
+@dataclass
+class ToldSource:
+    """Gives a pair at each slot, unless told to do something else at that slot."""
+
+    clock: SteppedClock
+    orders: dict[int, Callable[[], object]] = field(default_factory=dict)
+    """Number of the capture, from 0, to what happens at it before the pair is given."""
+    captures: list[datetime] = field(default_factory=list)
+
+    def capture(self, slot_utc: datetime) -> CapturedPair:
+        number = len(self.captures)
+        self.captures.append(slot_utc)
+        order = self.orders.get(number)
+        if order is not None:
+            order()
+        return CapturedPair(self._frame(number), self._frame(number + 100), skew_s=0.001)
+
+    def _frame(self, seed: int) -> CapturedFrame:
+        pixels = np.random.default_rng(seed).integers(0, 255, SIZE, dtype=np.uint8)
+        return CapturedFrame(pixels, 8, seed, 0, self.clock.monotonic_s(), exposure_us=5000.0)
+
+    def close(self) -> None:
+        pass
+
+
+class Station:
+    """A site as one process after another would run it: each `run` is a daemon's life."""
+
+    def __init__(self, state: Path, period_s: int = 60) -> None:
+        self.state = state
+        self.clock = SteppedClock(START)
+        self.schedule = Schedule(period_s)
+        self.store = open_store(state)
+        self.archive = FrameArchive(state)
+        self.line = Pipeline(SITE, "hash", self.store, self.archive, self.clock)
+        self.source = ToldSource(self.clock)
+        self.stop = threading.Event()
+
+    def start(self, boot_id: str = "boot-1") -> SlotRunner:
+        last = recover(self.line, self.schedule, boot_id)
+        return SlotRunner(
+            self.line, self.schedule, self.source, self.stop, last, Notifier(address=None)
+        )
+
+    def run(self, slots: int, orders: dict | None = None, boot_id: str = "boot-1") -> None:
+        runner = self.start(boot_id)
+        self.source.captures.clear()
+        self.source.orders = orders or {}
+        assert runner.run(slots) == slots
+
+    def minutes(self) -> list[int]:
+        """Minutes after noon of the slots with a row."""
+        return sorted(minute_of(slot) for slot in self.store.measured_slots())
+
+    def gaps(self) -> list[tuple[int, int, str]]:
+        """First and last minute, and cause."""
+        return [
+            (minute_of(gap.first_slot_utc), minute_of(gap.last_slot_utc), gap.cause.value)
+            for gap in self.store.gaps()
+        ]
+
+
+def minute_of(slot: datetime) -> int:
+    minutes, rest = divmod((slot - datetime(2026, 3, 1, 12, tzinfo=UTC)).total_seconds(), 60)
+    assert rest == 0
+    return int(minutes)
+
+
+@pytest.fixture
+def station(tmp_path: Path):
+    station = Station(tmp_path / "state")
+    yield station
+    station.store.close()
