@@ -105,6 +105,10 @@ class CamerasSection(Section):
     main: CameraSection
     sub: CameraSection
 
+    def of(self, role: Role) -> CameraSection:
+        """Give one camera's table."""
+        return self.main if role == "main" else self.sub
+
 
 class CirclesSection(Section):
     """`[target.main]`: white discs on black, centres in WM (x right, y up)."""

@@ -13,11 +13,10 @@ from pathlib import Path
 import structlog
 
 from core.calibration import Calibration
-from core.errors import ImageError
-from core.frames import GreyImage, require_size
+from core.frames import GreyImage
 from core.measurement import measure_pair
 from core.results import Flag, Measurement, Reason
-from core.site import CameraGeometry, Site
+from core.site import Site
 from daemon.store.database import Store
 from daemon.store.errors import DiskFullError, StoreError
 from daemon.store.frames import FrameArchive, StoredPair, camera_state
@@ -172,31 +171,18 @@ def measure_images(
 ) -> Measurement:
     """Measure one pair; every pair gets an answer, if only a reason.
 
-    None means no image: missing, or there and `unreadable`. An image of another size than the
-    config's counts as unreadable.
+    None means no image: not there, or there and `unreadable`.
     """
     if calibration is None:
         return _bad(Reason.NO_CALIBRATION)
-    wrong = {
-        role
-        for role, image, camera in (("main", main, site.main), ("sub", sub, site.sub))
-        if image is not None and not _fits(image, camera, role)
-    }
     try:
-        measurement = measure_pair(
-            None if "main" in wrong else main,
-            None if "sub" in wrong else sub,
-            site,
-            calibration.calibration,
-            skew_s,
-        )
+        measurement = measure_pair(main, sub, site, calibration.calibration, skew_s)
     except Exception:  # noqa: BLE001 - a fault of ours costs this value, not the row
         _log.exception("measurement_broke")
         return _bad(Reason.INTERNAL_ERROR)
-    said = {_MISSING[role]: _UNREADABLE[role] for role in wrong | unreadable}
-    return replace(
-        measurement, reasons=tuple(said.get(reason, reason) for reason in measurement.reasons)
-    )
+    said = {_MISSING[role]: _UNREADABLE[role] for role in unreadable}
+    reasons = tuple(said.get(reason, reason) for reason in measurement.reasons)
+    return replace(measurement, reasons=reasons)
 
 
 def active_calibration(store: Store) -> ActiveCalibration | None:
@@ -238,15 +224,6 @@ def _measure_captured(
         main_camera=camera_state(pair.main),
         sub_camera=camera_state(pair.sub),
     )
-
-
-def _fits(image: GreyImage, camera: CameraGeometry, role: str) -> bool:
-    try:
-        require_size(image, camera, f"{role} image")
-    except ImageError as error:
-        _log.warning("image_refused", error=str(error))
-        return False
-    return True
 
 
 def _keep_frames(

@@ -1,0 +1,143 @@
+"""`dcamd`, the daemon: opens everything, runs slots until told to stop, closes everything."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from types import FrameType
+
+import click
+import structlog
+
+from daemon.commands.options import Options, common_options, pass_options
+from daemon.config import Installation
+from daemon.devices import open_clock, open_pair_source, require_backend
+from daemon.errors import run
+from daemon.lock import sole_writer
+from daemon.log import configure_log
+from daemon.notify import Notifier
+from daemon.pipeline import Pipeline
+from daemon.recovery import mark_stop, read_boot_id, recover
+from daemon.runner import SlotRunner
+from daemon.schedule import Schedule
+from daemon.store.database import Store, open_store
+from daemon.store.frames import FrameArchive
+from daemon.version import VERSION
+
+_log = structlog.get_logger("dcam.daemon")
+
+STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
+
+
+@click.command(
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="\b\nExample:\n  dcamd --config dcam.toml --state /tmp/dcam --max-slots 10",
+)
+@click.option(
+    "--max-slots",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="End cleanly after N slots; without it run until SIGTERM.",
+)
+@click.version_option(VERSION, prog_name="dcamd")
+@common_options
+@pass_options
+def cli(options: Options, max_slots: int | None) -> None:
+    """Take, measure and record one frame pair a slot, until SIGTERM or Ctrl-C.
+
+    Each slot of the schedule ends as a row or in a gap with its cause. Logs go to stderr.
+    """
+    serve(options.installation, max_slots)
+
+
+def serve(installation: Installation, max_slots: int | None = None) -> None:
+    """Run the daemon on a site until told to stop.
+
+    Raises ConfigError, AlreadyRunningError, StoreError, DriverError.
+    """
+    config = installation.config
+    require_backend(config)
+    configure_log(config.log.format, config.log.level)
+    notifier = Notifier.from_environment()
+    state = installation.state_directory
+    with stop_on_signals() as stop, sole_writer(state), closing(open_store(state)) as store:
+        try:
+            _run(installation, store, stop, notifier, max_slots)
+        finally:
+            notifier.stopping()
+
+
+def _run(
+    installation: Installation,
+    store: Store,
+    stop: threading.Event,
+    notifier: Notifier,
+    max_slots: int | None,
+) -> None:
+    config = installation.config
+    accounted = store.accounted()
+    clock = open_clock(config, accounted[1] if accounted else None)
+    archive = FrameArchive(installation.state_directory)
+    line = Pipeline(config.site(), config.config_hash(), store, archive, clock)
+    schedule = Schedule(**config.schedule.model_dump())
+    with ExitStack() as opened:
+        source = opened.enter_context(closing(open_pair_source(config, clock)))
+        notifier.status("recovering")
+        last_utc = recover(line, schedule, read_boot_id())
+        store.add_event(clock.now_utc(), "started", f"version {VERSION}")
+        _log.info("started", site=config.name, version=VERSION, state=str(archive.state))
+        notifier.ready()
+        done = SlotRunner(line, schedule, source, stop, last_utc, notifier).run(max_slots)
+        notifier.stopping()
+    store.add_event(clock.now_utc(), "stopped", f"after {done} slots")
+    mark_stop(store, clock.now_utc())
+    _log.info("stopped", slots=done)
+
+
+@contextmanager
+def stop_on_signals() -> Iterator[threading.Event]:
+    """Give an event that SIGTERM and SIGINT set; the slot in progress ends first.
+
+    The event is set by a thread of its own: a Python handler runs in between two steps of the
+    main thread, and could find the event's lock held by the very thread that it interrupts.
+    """
+    stop = threading.Event()
+    reader, writer = socket.socketpair()
+    writer.setblocking(False)
+
+    def wait() -> None:
+        received = reader.recv(1)
+        if received:
+            _log.info("stopping", signal=signal.Signals(received[0]).name)
+            stop.set()
+
+    waiting = threading.Thread(target=wait, name="signals", daemon=True)
+    waiting.start()
+    before_fd = signal.set_wakeup_fd(writer.fileno())
+    before = {number: signal.signal(number, _noted) for number in STOP_SIGNALS}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        signal.set_wakeup_fd(before_fd)
+        writer.close()
+        waiting.join()
+        reader.close()
+
+
+def _noted(_number: int, _frame: FrameType | None) -> None:
+    """Do nothing: the interpreter has written the signal's number to the wakeup descriptor."""
+
+
+def main() -> int:
+    """Run `dcamd` and give its exit code."""
+    return run(cli, "dcamd")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
