@@ -1,0 +1,203 @@
+"""Two cameras as one source of frame pairs: armed, then triggered together, within deadlines."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, wait
+from contextlib import suppress
+from datetime import datetime
+from typing import TypeVar
+
+import structlog
+
+from drivers.deadline import DeadlineThread
+from drivers.errors import DeviceError, DeviceLostError
+from drivers.protocols import Camera, CapturedFrame, CapturedPair, Clock, Role
+
+_T = TypeVar("_T")
+_log = structlog.get_logger("dcam.drivers")
+
+OPEN_TIMEOUT_S = 20.0
+"""Deadline to open and arm both cameras, above what a driver allows itself."""
+GRACE_S = 6.0
+"""What trigger and fetch may take beyond the time-out they are given."""
+MEET_S = 1.0
+"""How long the two trigger threads wait for each other."""
+FIRST_BACK_OFF_S = 1.0
+LAST_BACK_OFF_S = 30.0
+FAILURES_TO_REOPEN = 3
+"""After so many frames missed in a row a camera is opened anew though it did not say it is lost."""
+CLOSE_TIMEOUT_S = 5.0
+
+
+class SynchronizedPair:
+    """A main and a sub-camera with software triggers; implements `FramePairSource`.
+
+    Each camera lives in a thread of its own. Both are opened and armed, meet, and are triggered at
+    once. A call that hangs is left behind with its thread at the deadline, and the camera is not
+    touched before the call returns; a lost camera is opened anew, with a growing pause between the
+    attempts, so that a dead one costs a slot its deadline at most, and usually nothing.
+    """
+
+    def __init__(
+        self,
+        main: Camera,
+        sub: Camera,
+        clock: Clock,
+        *,
+        timeout_s: float = 5.0,
+        open_timeout_s: float = OPEN_TIMEOUT_S,
+        grace_s: float = GRACE_S,
+    ) -> None:
+        self._lanes = (_Lane(main, "main", clock), _Lane(sub, "sub", clock))
+        self._timeout_s = timeout_s
+        self._open_timeout_s = open_timeout_s
+        self._grace_s = grace_s
+
+    def capture(self, slot_utc: datetime) -> CapturedPair:
+        """Take both frames now.
+
+        Raises DeviceError, its `role` naming the camera, or None when both failed. Returns or
+        raises within `open_timeout_s + timeout_s + grace_s`.
+        """
+        self._both(_Lane.ready, "opening", self._open_timeout_s)
+        meeting = threading.Barrier(len(self._lanes))
+        main, sub = self._both(
+            lambda lane: lane.shoot(meeting, self._timeout_s),
+            "the exposure",
+            self._timeout_s + self._grace_s,
+        )
+        skew_s = sub.trigger_monotonic_s - main.trigger_monotonic_s
+        _log.debug("pair_captured", slot=slot_utc.isoformat(), skew_s=skew_s)
+        return CapturedPair(main, sub, skew_s)
+
+    def close(self) -> None:
+        """Release both cameras, or leave behind one that hangs."""
+        for lane in self._lanes:
+            lane.close()
+
+    def _both(self, step: Callable[[_Lane], _T], what: str, timeout_s: float) -> list[_T]:
+        """Take a step with both cameras at once; raise only after both have ended theirs."""
+        deadline_s = time.monotonic() + timeout_s
+        started: list[tuple[_Lane, Future[_T]]] = []
+        results: list[_T] = []
+        errors: list[DeviceError] = []
+        for lane in self._lanes:
+            try:
+                started.append((lane, lane.start(step)))
+            except DeviceError as error:
+                errors.append(error)
+        for lane, future in started:
+            try:
+                results.append(lane.finish(future, what, timeout_s, deadline_s))
+            except DeviceError as error:
+                errors.append(error)
+        if len(errors) > 1:
+            both = type(errors[0])(f"{errors[0]}; {errors[1]}", None)
+            raise both from errors[0]
+        if errors:
+            raise errors[0]
+        return results
+
+
+class _Lane:
+    """One camera, its thread, and whether and when it may be used."""
+
+    def __init__(self, camera: Camera, role: Role, clock: Clock) -> None:
+        self._camera = camera
+        self._role: Role = role
+        self._clock = clock
+        self._thread: DeadlineThread | None = None
+        self._left_behind: DeadlineThread | None = None
+        self._open = False
+        self._failures = 0
+        self._pause_s = 0.0
+        self._not_before_s = 0.0
+        self._trouble = ""
+
+    # ------------------------------------------------------------ in the camera's thread
+
+    def ready(self) -> None:
+        """Open the camera if need be, and arm it."""
+        if not self._open:
+            self._camera.open()
+            self._open = True
+        self._camera.arm()
+
+    def shoot(self, meeting: threading.Barrier, timeout_s: float) -> CapturedFrame:
+        """Trigger together with the other camera, and fetch."""
+        with suppress(threading.BrokenBarrierError):  # the other camera is late: its skew will say
+            meeting.wait(MEET_S)
+        self._camera.trigger()
+        return self._camera.fetch(timeout_s)
+
+    # ------------------------------------------------------------ in the caller's thread
+
+    def start(self, step: Callable[[_Lane], _T]) -> Future[_T]:
+        """Begin a step. Raises DeviceLostError at once while the camera is not to be touched."""
+        if self._left_behind is not None:
+            if self._left_behind.alive:
+                msg = f"{self._trouble}, and still has not; restart the program if it stays so"
+                raise self._lost(msg)
+            self._left_behind, self._open = None, False  # whatever it opened, it closed
+        left_s = self._not_before_s - self._clock.monotonic_s()
+        if not self._open and left_s > 0.0:
+            msg = f"{self._trouble}; next attempt in {left_s:.0f} s"
+            raise self._lost(msg)
+        if self._thread is None:
+            self._thread = DeadlineThread(f"{self._role}-camera", self._camera.close)
+        return self._thread.submit(lambda: step(self))
+
+    def finish(self, future: Future[_T], what: str, timeout_s: float, deadline_s: float) -> _T:
+        """Give what the step gave, by the deadline (monotonic); note what a failure means."""
+        wait([future], max(deadline_s - time.monotonic(), 0.0))
+        if not future.done():
+            self._abandon()
+            self._give_up(f"{what} did not end within {timeout_s:g} s")
+            raise self._lost(self._trouble)
+        try:
+            result = future.result()
+        except DeviceError as error:
+            error.role = error.role or self._role
+            self._failures += 1
+            lost = isinstance(error, DeviceLostError) or not self._open
+            if lost or self._failures >= FAILURES_TO_REOPEN:
+                self._give_up(str(error))
+            raise
+        if isinstance(result, CapturedFrame):
+            if self._trouble:
+                _log.info("camera_back", role=self._role, serial=self._camera.serial)
+            self._failures, self._pause_s, self._trouble = 0, 0.0, ""
+        return result
+
+    def close(self) -> None:
+        """Release the camera, waiting a few seconds at most."""
+        thread, self._thread = self._thread, None
+        self._open = False
+        if thread is not None:
+            thread.end(CLOSE_TIMEOUT_S)
+            self._left_behind = thread
+
+    def _abandon(self) -> None:
+        """Leave the thread to the call it hangs in; it closes the camera when it comes back."""
+        if self._thread is not None:
+            self._thread.end()
+            self._left_behind, self._thread = self._thread, None
+
+    def _give_up(self, trouble: str) -> None:
+        """Have the camera opened anew, after a pause that grows while that fails."""
+        _log.warning("camera_lost", role=self._role, serial=self._camera.serial, error=trouble)
+        self._open = False
+        self._failures = 0
+        self._trouble = trouble
+        self._pause_s = min(max(2.0 * self._pause_s, FIRST_BACK_OFF_S), LAST_BACK_OFF_S)
+        self._not_before_s = self._clock.monotonic_s() + self._pause_s
+        if self._thread is not None:
+            self._thread.submit(self._camera.close)
+
+    def _lost(self, trouble: str) -> DeviceLostError:
+        if self._camera.serial not in trouble:
+            trouble = f"{self._role} camera {self._camera.serial}: {trouble}"
+        return DeviceLostError(trouble, self._role)

@@ -1,0 +1,71 @@
+"""A frame set played as if two cameras took it: the `replay` backend."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+
+from drivers.errors import DeviceError, FrameSetError
+from drivers.frameset import FrameSetRow, read_frame_set
+from drivers.protocols import CapturedFrame, CapturedPair, Role
+
+
+class ReplaySource:
+    """Gives the `measure` rows of a frame set, one a slot, in order; a `FramePairSource`."""
+
+    def __init__(self, directory: Path) -> None:
+        """Read the table. Raises FrameSetError when it is damaged or has no `measure` rows."""
+        self._set = read_frame_set(directory)
+        rows = self._set.rows_of("measure")
+        if not rows:
+            msg = f"{directory}: no 'measure' rows to replay; give a set that has some"
+            raise FrameSetError(msg)
+        self._rows: Iterator[tuple[int, FrameSetRow]] = enumerate(rows, start=1)
+
+    def capture(self, slot_utc: datetime) -> CapturedPair:  # noqa: ARG002 - the next row, whatever the slot
+        """Give the next row's pair. Raises DeviceError: an unusable image, or the set's end.
+
+        A row that cannot be read is passed over by the next call.
+        """
+        number, row = next(self._rows, (0, None))
+        if row is None:
+            msg = f"{self._set.directory}: end of the set, all 'measure' rows are replayed"
+            raise DeviceError(msg)
+        main, sub = self._frame("main", number, row), self._frame("sub", number, row)
+        return CapturedPair(main, sub, skew_s=_number(row, "skew_s") or 0.0)
+
+    def close(self) -> None:
+        """Release nothing."""
+
+    def _frame(self, role: Role, number: int, row: FrameSetRow) -> CapturedFrame:
+        name = row.main if role == "main" else row.sub
+        if name is None:
+            msg = (
+                f"{self._set.directory}: the {role} image of {row.slot_utc.isoformat()} is missing"
+            )
+            raise DeviceError(msg, role)
+        try:
+            image = self._set.read(name)
+        except FrameSetError as error:
+            raise DeviceError(str(error), role) from error
+        return CapturedFrame(
+            pixels=image.pixels,
+            bits=image.bits,
+            frame_id=number,
+            camera_time_ns=round(row.slot_utc.timestamp() * 1e9),
+            trigger_monotonic_s=0.0,
+            exposure_us=_number(row, f"exposure_{role}_us"),
+            gain_db=_number(row, f"gain_{role}_db"),
+            temperature_c=_number(row, f"temperature_{role}_c"),
+        )
+
+
+def _number(row: FrameSetRow, column: str) -> float | None:
+    """A number from an extra column; None where there is none."""
+    try:
+        value = float(row.extra.get(column, ""))
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None

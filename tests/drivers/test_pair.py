@@ -1,0 +1,264 @@
+"""A pair of cameras gives both frames or says which camera failed, always within its deadline."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+
+from drivers.clock import SteppedClock
+from drivers.errors import DeviceError, DeviceLostError, FrameTimeoutError, IncompleteFrameError
+from drivers.pair import FAILURES_TO_REOPEN, LAST_BACK_OFF_S, SynchronizedPair
+from drivers.protocols import CapturedFrame
+from drivers.sim.cameras import SimulatedCamera
+from drivers.sim.settings import Scenario, SimSettings
+from drivers.sim.world import World
+from tests.sim.rigs import site
+
+SLOT = datetime(2026, 3, 1, tzinfo=UTC)
+PIXELS = np.zeros((4, 6), np.uint8)
+
+
+class FakeCamera:
+    """A camera that does as told: `on` maps a call's name to what happens in it."""
+
+    def __init__(self, serial: str, trigger_s: float = 0.0) -> None:
+        self.serial = serial
+        self.trigger_s = trigger_s
+        self.calls: list[str] = []
+        self.threads: set[int] = set()
+        self.on: dict[str, Callable[[], None]] = {}
+
+    def _called(self, name: str) -> None:
+        self.calls.append(name)
+        self.threads.add(threading.get_ident())
+        self.on.get(name, lambda: None)()
+
+    def open(self) -> None:
+        self._called("open")
+
+    def arm(self) -> None:
+        self._called("arm")
+
+    def trigger(self) -> None:
+        self._called("trigger")
+
+    def fetch(self, timeout_s: float) -> CapturedFrame:
+        self._called("fetch")
+        return CapturedFrame(PIXELS, 8, self.calls.count("trigger"), 0, self.trigger_s)
+
+    def close(self) -> None:
+        self._called("close")
+
+
+def _raise(error: Exception) -> Callable[[], None]:
+    def raise_it() -> None:
+        raise error
+
+    return raise_it
+
+
+class Rig:
+    """Two fake cameras, a stepped clock and their pair."""
+
+    def __init__(self) -> None:
+        self.main, self.sub = FakeCamera("M1", 7.0), FakeCamera("S1", 7.25)
+        self.clock = SteppedClock(SLOT)
+        self.pair = SynchronizedPair(
+            self.main, self.sub, self.clock, timeout_s=0.05, open_timeout_s=0.2, grace_s=0.05
+        )
+
+    def fail(self) -> tuple[DeviceError, float]:
+        began_s = time.monotonic()
+        with pytest.raises(DeviceError) as caught:
+            self.pair.capture(SLOT)
+        return caught.value, time.monotonic() - began_s
+
+
+@pytest.fixture
+def rig():
+    rig = Rig()
+    yield rig
+    rig.pair.close()
+
+
+def test_both_are_armed_then_triggered_from_two_threads(rig: Rig) -> None:
+    """Opened once, armed before each trigger, each in its own thread; skew is sub minus main."""
+    first, second = rig.pair.capture(SLOT), rig.pair.capture(SLOT)
+    assert rig.main.calls == ["open", *["arm", "trigger", "fetch"] * 2]
+    assert rig.sub.calls == rig.main.calls
+    assert (first.skew_s, second.main.frame_id) == (0.25, 2)
+    assert len(rig.main.threads | rig.sub.threads) == 2
+    assert threading.get_ident() not in rig.main.threads | rig.sub.threads
+    rig.pair.close()
+    assert rig.main.calls[-1] == rig.sub.calls[-1] == "close"
+
+
+def test_triggers_meet(rig: Rig) -> None:
+    """No camera is triggered before the other one is ready to be."""
+    met = threading.Barrier(2)
+    rig.main.on["trigger"] = rig.sub.on["trigger"] = lambda: met.wait(5.0) and None
+    rig.pair.capture(SLOT)
+    assert not met.broken
+
+
+def test_nothing_is_exposed_unless_both_are_ready(rig: Rig) -> None:
+    """With one camera missing the other is armed and not triggered."""
+    rig.sub.on["open"] = _raise(DeviceLostError("camera S1: not found"))
+    error, _ = rig.fail()
+    assert (error.role, str(error)) == ("sub", "camera S1: not found")
+    assert rig.main.calls == ["open", "arm"]
+
+
+def test_a_lost_camera_is_left_alone_and_then_opened_anew(rig: Rig) -> None:
+    """After a loss the camera is closed, not touched during the pause, then opened and used."""
+    rig.pair.capture(SLOT)
+    rig.main.on["trigger"] = _raise(DeviceLostError("camera M1: control lost"))
+    error, _ = rig.fail()
+    assert isinstance(error, DeviceLostError)
+    assert error.role == "main"
+    rig.main.on.clear()
+    error, _ = rig.fail()
+    assert str(error) == "camera M1: control lost; next attempt in 1 s"
+    assert error.role == "main"
+    rig.clock.advance(1.0)
+    rig.pair.capture(SLOT)
+    assert rig.main.calls[-5:] == ["close", "open", "arm", "trigger", "fetch"]
+    assert rig.sub.calls.count("open") == 1
+
+
+def test_the_pause_grows_to_half_a_minute(rig: Rig) -> None:
+    """Attempts to open a dead camera: at most one in 1, 2, 4 ... 30 s; one a minute always."""
+    rig.main.on["open"] = _raise(DeviceLostError("M1"))
+    for second in range(200):
+        rig.fail()
+        assert rig.main.calls.count("open") <= 6 + second // LAST_BACK_OFF_S
+        rig.clock.advance(1.0)
+    opened = rig.main.calls.count("open")
+    rig.clock.advance(60.0)
+    rig.fail()
+    assert rig.main.calls.count("open") == opened + 1
+
+
+def test_after_recovery_the_pause_is_short_again(rig: Rig) -> None:
+    """The back-off of one fault does not burden the next."""
+    for _ in range(6):
+        rig.main.on["open"] = _raise(DeviceLostError("M1 gone"))
+        rig.fail()
+        rig.clock.advance(60.0)
+    rig.main.on.clear()
+    rig.pair.capture(SLOT)
+    rig.main.on["trigger"] = _raise(DeviceLostError("M1 gone"))
+    rig.fail()
+    assert "next attempt in 1 s" in str(rig.fail()[0])
+
+
+@pytest.mark.parametrize("error", [FrameTimeoutError("S1: no frame"), IncompleteFrameError("S1")])
+def test_a_missed_frame_is_no_loss(rig: Rig, error: DeviceError) -> None:
+    """A time-out or an incomplete frame fails one slot; only several in a row reopen the camera."""
+    rig.sub.on["fetch"] = _raise(error)
+    caught, _ = rig.fail()
+    assert type(caught) is type(error)
+    assert caught.role == "sub"
+    rig.sub.on.clear()
+    rig.pair.capture(SLOT)
+    assert rig.sub.calls.count("open") == 1
+    rig.sub.on["fetch"] = _raise(error)
+    for _ in range(FAILURES_TO_REOPEN):
+        rig.fail()
+    rig.sub.on.clear()
+    rig.clock.advance(60.0)
+    rig.pair.capture(SLOT)
+    assert rig.sub.calls.count("open") == 2
+
+
+def test_two_dead_cameras_are_both_named(rig: Rig) -> None:
+    """When both fail the error names both, and no single role."""
+    rig.main.on["open"] = _raise(DeviceLostError("M1 gone"))
+    rig.sub.on["open"] = _raise(DeviceLostError("S1 gone"))
+    error, _ = rig.fail()
+    assert (str(error), error.role) == ("M1 gone; S1 gone", None)
+    assert isinstance(error, DeviceLostError)
+
+
+@pytest.mark.parametrize("call", ["open", "arm", "trigger", "fetch"])
+def test_a_hung_call_costs_no_more_than_its_deadline(rig: Rig, call: str) -> None:
+    """A call that never returns is left behind; later slots fail at once; then it recovers."""
+    release, closed = threading.Event(), threading.Event()
+    rig.main.on[call] = lambda: release.wait(30.0) and None
+    rig.main.on["close"] = closed.set
+    before = threading.active_count()
+    error, took_s = rig.fail()
+    assert isinstance(error, DeviceLostError)
+    assert error.role == "main"
+    assert "main camera M1" in str(error)
+    assert "did not end within" in str(error)
+    assert took_s < 2.0
+    for _ in range(20):
+        rig.clock.advance(60.0)
+        error, took_s = rig.fail()
+        assert "still has not; restart" in str(error)
+    assert threading.active_count() <= before + 2
+    assert rig.main.calls.count(call) == 1
+    release.set()
+    assert closed.wait(5.0)
+    rig.main.on.clear()
+    _wait_for(lambda: threading.active_count() <= before + 1)
+    rig.clock.advance(60.0)
+    rig.pair.capture(SLOT)
+    assert rig.main.calls[-4:] == ["open", "arm", "trigger", "fetch"]
+
+
+def _wait_for(true: Callable[[], bool]) -> None:
+    """Wait for something that has no event to wait for, e.g. the end of a thread."""
+    deadline_s = time.monotonic() + 5.0
+    while not true():
+        assert time.monotonic() < deadline_s
+        threading.Event().wait(0.002)
+
+
+def test_close_does_not_wait_for_a_hung_camera(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Closing the pair while a camera hangs ends; closing twice is allowed."""
+    monkeypatch.setattr("drivers.pair.CLOSE_TIMEOUT_S", 0.05)
+    release = threading.Event()
+    rig.sub.on["fetch"] = lambda: release.wait(30.0) and None
+    rig.fail()
+    began_s = time.monotonic()
+    rig.pair.close()
+    rig.pair.close()
+    assert time.monotonic() - began_s < 2.0
+    release.set()
+
+
+def test_a_fault_of_the_program_is_not_hidden(rig: Rig) -> None:
+    """What is no device's error passes through, so that it is seen."""
+    rig.main.on["arm"] = _raise(ZeroDivisionError("a bug"))
+    with pytest.raises(ZeroDivisionError):
+        rig.pair.capture(SLOT)
+
+
+def test_simulated_pair_loses_a_camera_and_gets_it_back() -> None:
+    """On the simulated rig: frames of the slot, a loss with its role, then frames again."""
+    world = World(site(shrink=8), SimSettings(scenarios=(Scenario("camera_loss", 2, 4, "sub"),)))
+    clock = SteppedClock(SLOT)
+    pair = SynchronizedPair(
+        SimulatedCamera(world, "main", clock), SimulatedCamera(world, "sub", clock), clock
+    )
+    outcome = []
+    for minute in range(7):
+        slot = SLOT + timedelta(minutes=minute)
+        clock.wait_until(slot, threading.Event())
+        try:
+            taken = pair.capture(slot)
+        except DeviceLostError as error:
+            outcome.append(error.role)
+        else:
+            outcome.append("ok")
+            np.testing.assert_array_equal(taken.sub.pixels, world.render("sub", slot))
+            assert taken.skew_s == 0.0
+    pair.close()
+    assert outcome == ["ok", "ok", "sub", "sub", "ok", "ok", "ok"]
