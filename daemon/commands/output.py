@@ -17,6 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+from core.results import Flag, Measurement
 from daemon.export import RESULT_COLUMNS
 from daemon.store.convert import measurement_row
 from daemon.store.records import MeasurementRecord
@@ -56,14 +57,11 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def measurement_fields(record: MeasurementRecord | None) -> dict[str, Any] | None:
-    """A row for `--json`: the columns of `reprocess`, with the same names."""
-    if record is None:
-        return None
-    row = measurement_row(record)
+def result_fields(slot_utc: datetime, measurement: Measurement) -> dict[str, Any]:
+    """A measurement for `--json`: the columns of `reprocess`, with the same names."""
+    row = measurement_row(MeasurementRecord(slot_utc, measurement, config_hash="", version=""))
     fields = {name: getattr(row, name) for name in RESULT_COLUMNS}
-    fields["reasons"] = [reason.value for reason in record.measurement.reasons]
-    return fields
+    return {**fields, "reasons": [reason.value for reason in measurement.reasons]}
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -128,6 +126,19 @@ def span_text(seconds: float) -> str:
         elif parts:
             break
     return " ".join(parts[:2]) or "0 s"
+
+
+def value_text(measurement: Measurement) -> str:
+    """Write a displacement, or why there is none, in a few words."""
+    why = "+".join(measurement.reasons)
+    if measurement.corrected is None:
+        return f"no value ({measurement.flag.name.lower()}: {why})"
+    (x_mm, y_mm), covariance = measurement.corrected.mm, measurement.corrected.covariance_mm2
+    text = (
+        f"x {x_mm:+.3f} ± {covariance[0, 0] ** 0.5:.3f} mm, "
+        f"y {y_mm:+.3f} ± {covariance[1, 1] ** 0.5:.3f} mm"
+    )
+    return text if measurement.flag is Flag.GOOD else f"{text} (suspect: {why})"
 
 
 def bytes_text(count: float) -> str:

@@ -8,23 +8,23 @@ from enum import IntEnum
 
 import click
 
-from core.results import Flag
 from daemon.commands.gaps import gap_fields
 from daemon.commands.options import Options, common_options, json_option, pass_options, utc_time
 from daemon.commands.output import (
     bytes_text,
-    measurement_fields,
     print_json,
     print_table,
+    result_fields,
     say,
     span_text,
     utc_text,
+    value_text,
 )
 from daemon.errors import lines_of
 from daemon.health import CAMERA_CAUSES, DAY, Facts, look
 from daemon.store.database import open_store_readonly
 from daemon.store.errors import DatabaseDamagedError, StoreError
-from daemon.store.records import Coverage, MeasurementRecord
+from daemon.store.records import Coverage
 
 LATE_SLOTS, LOST_SLOTS = 3, 10
 """Periods without a row before that is a warning, and critical."""
@@ -133,25 +133,12 @@ def _measurement(facts: Facts) -> Item:
     name = "measurement"
     if facts.last is None:
         return Item(name, Level.WARNING, "none yet; start dcamd")
-    age_s = (facts.now_utc - facts.last.slot_utc).total_seconds()
-    text = f"{value_text(facts.last)}, {span_text(age_s)} ago ({utc_text(facts.last.slot_utc)})"
+    slot_utc = facts.last.slot_utc
+    age_s = (facts.now_utc - slot_utc).total_seconds()
+    text = f"{value_text(facts.last.measurement)}, {span_text(age_s)} ago ({utc_text(slot_utc)})"
     if age_s < 0:
         return Item(name, Level.CRITICAL, f"{text}: in the future, is the clock wrong?")
     return Item(name, _by_age(age_s / facts.period_s, LATE_SLOTS, LOST_SLOTS), text)
-
-
-def value_text(row: MeasurementRecord) -> str:
-    """A row's value, or why there is none, in a few words."""
-    measurement = row.measurement
-    why = "+".join(measurement.reasons)
-    if measurement.corrected is None:
-        return f"no value ({measurement.flag.name.lower()}: {why})"
-    (x_mm, y_mm), covariance = measurement.corrected.mm, measurement.corrected.covariance_mm2
-    text = (
-        f"x {x_mm:+.3f} ± {covariance[0, 0] ** 0.5:.3f} mm, "
-        f"y {y_mm:+.3f} ± {covariance[1, 1] ** 0.5:.3f} mm"
-    )
-    return text if measurement.flag is Flag.GOOD else f"{text} (suspect: {why})"
 
 
 def _good_value(facts: Facts) -> Item:
@@ -305,7 +292,7 @@ def status_fields(facts: Facts, items: list[Item]) -> dict[str, object]:
             {"name": item.name, "level": item.level.name.lower(), "text": item.text}
             for item in items
         ],
-        "last": measurement_fields(facts.last),
+        "last": result_fields(facts.last.slot_utc, facts.last.measurement) if facts.last else None,
         "last_good_slot_utc": facts.last_good.slot_utc if facts.last_good else None,
         "calibration": None
         if calibration is None

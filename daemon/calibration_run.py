@@ -1,0 +1,119 @@
+"""From a frame set on the disk to a stored calibration: one way, wherever the frames came from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+
+from core.calibration import (
+    Calibration,
+    CalibrationReport,
+    CalibrationView,
+    Method,
+    ViewRole,
+    calibrate,
+)
+from core.errors import CalibrationError, ImageError
+from core.frames import GreyImage, require_size
+from core.site import CameraGeometry, Site
+from daemon.config import Config
+from daemon.store.database import Store
+from daemon.store.records import CalibrationRecord
+from daemon.version import VERSION
+from drivers.errors import FrameSetError
+from drivers.frameset import FrameSet, FrameSetRow, format_slot, read_frame_set
+
+OnStep = Callable[[str], None]
+"""Told what has just been done, once for each view and once for the calibration."""
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationRun:
+    """A calibration that has been computed and not yet stored."""
+
+    directory: Path
+    calibration: Calibration
+    report: CalibrationReport
+    left_out: tuple[str, ...]
+    """Views that could not be used, each with its reason."""
+
+
+def views_in(directory: Path) -> FrameSet:
+    """Read the table of a calibration's frame set: all rows but `measure`.
+
+    Raises FrameSetError, CalibrationError when no row is there to calibrate with.
+    """
+    frames = read_frame_set(directory)
+    rows = frames.rows_of("intrinsics", "reference", "rig")
+    if not rows:
+        msg = f"{directory}: no rows of role intrinsics, reference or rig; nothing to calibrate on"
+        raise CalibrationError(msg)
+    return replace(frames, rows=rows)
+
+
+def calibrate_frames(
+    frames: FrameSet, site: Site, method: Method, on_step: OnStep = lambda _: None
+) -> CalibrationRun:
+    """Calibrate on all views of a frame set that can be read.
+
+    A lens or rig view with a damaged image is left out, and the report says so; without the
+    reference there is no zero. Raises FrameSetError, ImageError, CalibrationError,
+    NotObservableError.
+    """
+    views: list[CalibrationView] = []
+    left_out: list[str] = []
+    for row in frames.rows:
+        try:
+            views.append(_view(frames, row, site))
+        except (FrameSetError, ImageError) as error:
+            if row.role == "reference":
+                raise
+            left_out.append(str(error))
+        on_step(f"read {format_slot(row.slot_utc)}")
+    calibration, report = calibrate(views, site, method)
+    on_step("calibrated")
+    if left_out:
+        report = CalibrationReport(
+            passed=report.passed,
+            lines=(*report.lines, *(f"Left out: {reason}." for reason in left_out)),
+            figures={**report.figures, "left_out": left_out},
+        )
+    return CalibrationRun(frames.directory, calibration, report, tuple(left_out))
+
+
+def store_run(
+    store: Store, run: CalibrationRun, config: Config, created_utc: datetime, *, activate: bool
+) -> int:
+    """Store a calibration for good, active if told; give its number."""
+    record = CalibrationRecord(
+        created_utc=created_utc,
+        content=run.calibration.to_dict(),
+        report=run.report,
+        config_hash=config.config_hash(),
+        version=VERSION,
+        frames=str(run.directory),
+    )
+    return store.add_calibration(record, activate=activate)
+
+
+def _view(frames: FrameSet, row: FrameSetRow, site: Site) -> CalibrationView:
+    sub = _image(frames, row.sub, site.sub)
+    if sub is None:
+        msg = f"{frames.directory}: row {format_slot(row.slot_utc)} names no sub image"
+        raise FrameSetError(msg)
+    return CalibrationView(
+        name=f"{row.role} {format_slot(row.slot_utc)} ({row.sub})",
+        role=ViewRole(row.role),
+        main=_image(frames, row.main, site.main),
+        sub=sub,
+    )
+
+
+def _image(frames: FrameSet, name: str | None, camera: CameraGeometry) -> GreyImage | None:
+    if name is None:
+        return None
+    image = frames.read(name)
+    require_size(image, camera, str(frames.directory / name))
+    return image

@@ -1,0 +1,150 @@
+"""`dcam-ctl calibrate`: from lens views and rig positions to a calibration, judged and stored."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import closing
+from datetime import UTC, datetime
+from pathlib import Path
+
+import click
+
+from core.calibration import Method
+from daemon.calibration_run import CalibrationRun, calibrate_frames, store_run, views_in
+from daemon.calibration_session import Rig, take_views, view_count
+from daemon.commands.options import Options, common_options, json_option, pass_options
+from daemon.commands.output import note, print_json, progress, say
+from daemon.config import Config
+from daemon.devices import open_clock, open_simulated_rig, require_backend
+from daemon.errors import ExitCode, HardwareError, UsageError
+from daemon.lock import sole_writer
+from daemon.store.database import open_store
+
+
+@click.command(
+    "calibrate",
+    epilog="\b\nExample:\n  dcam-ctl calibrate --from /data/calibration-2026-03-01 --accept",
+)
+@click.option(
+    "--from",
+    "directory",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Calibrate on a frame set: all its rows but those of role measure.",
+)
+@click.option(
+    "--pan-tilt",
+    is_flag=True,
+    help="Move the head, take the views, keep them below the state directory, calibrate on them.",
+)
+@click.option(
+    "--method",
+    type=click.Choice([method.value for method in Method]),
+    default=Method.RIGID.value,
+    show_default=True,
+    help="rigid: rigid rig with survey priors; paper: the nine parameters of Lee et al. 2020.",
+)
+@click.option("--accept", is_flag=True, help="Make the result active without asking.")
+@json_option
+@common_options
+@pass_options
+def command(
+    options: Options,
+    directory: Path | None,
+    pan_tilt: bool,
+    method: str,
+    accept: bool,
+    as_json: bool,
+) -> int:
+    """Calibrate lens, board and rig, say how far to trust the result, and store it.
+
+    Views that are damaged or do not fit are left out and named. Motions that do not determine
+    the model are refused, with the motion that is missing. Without --accept and without a
+    terminal to ask on, the result becomes active only if it passed; exit code 1 if it did not.
+    """
+    if (directory is not None) == pan_tilt:
+        msg = "give either --from DIR or --pan-tilt"
+        raise UsageError(msg)
+    config, state = options.config, options.state
+    if directory is None:
+        directory = capture_views(config, state)
+    return calibrate_and_store(
+        config, state, directory, Method(method), accept=accept, as_json=as_json
+    )
+
+
+def capture_views(config: Config, state: Path) -> Path:
+    """Take the views with the pan-tilt head; give the directory of their frame set.
+
+    Raises HardwareError for a backend without a head, AlreadyRunningError, HeadError, DeviceError.
+    """
+    backend = require_backend(config)
+    if backend != "simulated":
+        msg = f"no pan-tilt head for backend {backend} in this version; use --from DIR"
+        raise HardwareError(msg)
+    clock = open_clock(config)
+    with sole_writer(state, "dcam-ctl calibrate"):
+        devices = open_simulated_rig(config, clock)
+        rig = Rig(config.site(), devices.source, devices.head, clock, devices.world.hold_board)
+        with (
+            closing(devices.source),
+            closing(devices.head),
+            progress(view_count(rig), "taking views") as steps,
+        ):
+            return take_views(rig, state, steps.next)
+
+
+def calibrate_and_store(
+    config: Config,
+    state: Path,
+    directory: Path,
+    method: Method,
+    *,
+    accept: bool,
+    as_json: bool,
+    created_utc: datetime | None = None,
+) -> int:
+    """Calibrate on a frame set, tell the result, store it; give the exit code."""
+    frames = views_in(directory)
+    with open_store(state) as store:
+        with progress(len(frames.rows) + 1, "calibrating") as steps:
+            run = calibrate_frames(frames, config.site(), method, steps.next)
+        if not as_json:
+            say_report(run)
+        activate = accept or is_wanted(run)
+        number = store_run(store, run, config, created_utc or datetime.now(UTC), activate=activate)
+    if as_json:
+        print_json(calibration_fields(run, number, active=activate))
+    else:
+        say(f"Stored as calibration {number}, {'active now' if activate else 'not active'}.")
+    if accept and not run.report.passed:
+        note("warning: accepted although it did not pass")
+    return ExitCode.DONE if run.report.passed or activate else ExitCode.FAILED
+
+
+def is_wanted(run: CalibrationRun) -> bool:
+    """Ask whether to use a calibration, if there is someone to ask; else it must have passed."""
+    if not sys.stdin.isatty():
+        return run.report.passed
+    return click.confirm("Make it the active calibration?", default=run.report.passed, err=True)
+
+
+def say_report(run: CalibrationRun) -> None:
+    """Print the report, the verdict first."""
+    for line in run.report.lines:
+        say(line)
+
+
+def calibration_fields(run: CalibrationRun, number: int, *, active: bool) -> dict[str, object]:
+    """A calibration for `--json`."""
+    return {
+        "command": "calibrate",
+        "calibration": number,
+        "active": active,
+        "method": run.calibration.method,
+        "frames": run.directory,
+        "passed": run.report.passed,
+        "lines": run.report.lines,
+        "figures": run.report.figures,
+        "left_out": run.left_out,
+    }

@@ -1,0 +1,107 @@
+"""`dcam-ctl capture`: one pair now, measured and printed."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from datetime import datetime
+from pathlib import Path
+
+import click
+
+from core.frames import GreyImage
+from core.results import Measurement
+from daemon.commands.options import Options, common_options, json_option, pass_options
+from daemon.commands.output import print_json, result_fields, say, utc_text, value_text
+from daemon.devices import open_clock, open_pair_source
+from daemon.errors import ExitCode
+from daemon.lock import sole_writer
+from daemon.pipeline import ActiveCalibration, active_calibration, measure_images
+from daemon.store.database import open_store_readonly
+from daemon.store.errors import DatabaseMissingError
+from drivers.protocols import CapturedFrame, CapturedPair
+
+
+@click.command("capture", epilog="\b\nExample:\n  dcam-ctl capture --json")
+@json_option
+@common_options
+@pass_options
+def command(options: Options, as_json: bool) -> int:
+    """Take one pair now, measure it with the active calibration, and print what came out.
+
+    Nothing is recorded. The cameras must be free: stop dcamd first. Exit code 1 if the pair gave
+    no value, 4 if it could not be taken.
+    """
+    config, state = options.config, options.state
+    with sole_writer(state, "dcam-ctl capture"):
+        calibration, last_utc = _known(state)
+        clock = open_clock(config, last_utc)
+        with closing(open_pair_source(config, clock)) as source:
+            slot_utc = clock.now_utc().replace(microsecond=0)
+            pair = source.capture(slot_utc)
+    main, sub = (GreyImage(frame.pixels, frame.bits) for frame in (pair.main, pair.sub))
+    measurement = measure_images(main, sub, config.site(), calibration, pair.skew_s)
+    if as_json:
+        row = result_fields(slot_utc, measurement)
+        print_json({"command": "capture", "measurement": row, **_pair_fields(pair)})
+    else:
+        say(f"{utc_text(slot_utc)}  {value_text(measurement)}")
+        say_details(measurement, pair)
+    return ExitCode.FAILED if measurement.corrected is None else ExitCode.DONE
+
+
+def _known(state: Path) -> tuple[ActiveCalibration | None, datetime | None]:
+    """The active calibration, and where the record ends; a state may still be empty."""
+    try:
+        with open_store_readonly(state) as store:
+            accounted = store.accounted()
+            return active_calibration(store), accounted[1] if accounted else None
+    except DatabaseMissingError:
+        return None, None
+
+
+def say_details(measurement: Measurement, pair: CapturedPair) -> None:
+    """Print what lies behind a value: the main camera alone, the rig's motion, the two frames."""
+    if measurement.raw is not None:
+        x_mm, y_mm = measurement.raw.mm
+        say(f"raw          x {x_mm:+.3f} mm, y {y_mm:+.3f} mm")
+    if measurement.motion is not None:
+        rx, ry, rz = 1e3 * measurement.motion.rotation_rad
+        tx, ty, tz = measurement.motion.translation_mm
+        say(f"rig rotation x {rx:+.4f}, y {ry:+.4f}, z {rz:+.4f} mrad")
+        say(f"rig shift    x {tx:+.4f}, y {ty:+.4f}, z {tz:+.4f} mm")
+    seen = measurement.diagnostics
+    say(f"seen         {seen.discs_found} discs, {seen.corners_used} corners")
+    say(f"skew         {1e3 * pair.skew_s:+.2f} ms")
+    for name, frame in (("main", pair.main), ("sub", pair.sub)):
+        say(f"{name:<12} {frame_text(frame)}")
+
+
+def frame_text(frame: CapturedFrame) -> str:
+    """A frame's size, light and settings in one line."""
+    height, width = frame.pixels.shape
+    light = float(frame.pixels.max()) / (2**frame.bits - 1)
+    parts = [f"{width}x{height} px, {frame.bits} bits, brightest pixel at {light:.0%}"]
+    for value, unit in (
+        (frame.exposure_us, "us"),
+        (frame.gain_db, "dB"),
+        (frame.temperature_c, "°C"),
+    ):
+        if value is not None:
+            parts.append(f"{value:g} {unit}")
+    return ", ".join(parts)
+
+
+def _pair_fields(pair: CapturedPair) -> dict[str, object]:
+    def fields(frame: CapturedFrame) -> dict[str, object]:
+        return {
+            "width_px": frame.pixels.shape[1],
+            "height_px": frame.pixels.shape[0],
+            "bits": frame.bits,
+            "mean_dn": float(frame.pixels.mean()),
+            "max_dn": int(frame.pixels.max()),
+            "exposure_us": frame.exposure_us,
+            "gain_db": frame.gain_db,
+            "temperature_c": frame.temperature_c,
+        }
+
+    return {"skew_s": pair.skew_s, "main": fields(pair.main), "sub": fields(pair.sub)}

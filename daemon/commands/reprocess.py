@@ -1,0 +1,194 @@
+"""`dcam-ctl reprocess`: measure kept frames or a frame set again; what was measured stays."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+
+import click
+
+from core.calibration import Calibration
+from core.results import Flag, Measurement, Reason
+from core.site import Site
+from daemon.commands.options import (
+    Options,
+    common_options,
+    json_option,
+    output_option,
+    pass_options,
+    span_options,
+)
+from daemon.commands.output import note, print_json, progress, result_fields
+from daemon.config import Config
+from daemon.errors import UsageError, WorkFailedError
+from daemon.export import opened_output, write_results
+from daemon.pipeline import ActiveCalibration, measure_files, measure_images
+from daemon.store.database import NEVER, open_store_readonly
+from daemon.store.errors import DatabaseMissingError
+from daemon.store.frames import FrameArchive
+from daemon.store.records import EPOCH, CalibrationRecord
+from drivers.errors import FrameSetError
+from drivers.frameset import FrameSet, FrameSetRow, read_frame_set
+
+Result = tuple[datetime, Measurement]
+Job = tuple[datetime, Callable[[], Measurement]]
+"""A slot, and how to measure it."""
+
+
+@click.command(
+    "reprocess",
+    epilog="\b\nExample:\n"
+    "  dcam-ctl reprocess --from /data/march --output march.csv\n"
+    "  dcam-ctl reprocess --since 24h --calibration 3 --output day.csv",
+)
+@click.option(
+    "--from",
+    "directory",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Measure the rows of role measure of a frame set; without it the frames that were kept.",
+)
+@span_options
+@click.option(
+    "--calibration",
+    "calibration_id",
+    type=click.IntRange(min=1),
+    metavar="ID",
+    help="Use this calibration; default: the active one.",
+)
+@output_option
+@json_option
+@common_options
+@pass_options
+def command(
+    options: Options,
+    directory: Path | None,
+    since: datetime | None,
+    until: datetime | None,
+    calibration_id: int | None,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """Measure frames again, one line a pair, in order, whatever the images show.
+
+    The database is only read. A missing or damaged image gives a line with its flag and reason.
+    flag: 1 good, 3 suspect (value given, reason named), 4 bad (value withheld), 9 missing.
+    """
+    if directory is not None and (since or until):
+        msg = "--since and --until choose kept frames; leave them out with --from"
+        raise UsageError(msg)
+    calibration = chosen_calibration(options.config, options.state, calibration_id)
+    site = options.config.site()
+    jobs = (
+        list(jobs_in_set(read_frame_set(directory), site, calibration))
+        if directory is not None
+        else list(jobs_kept(options.state, site, calibration, since or EPOCH, until or NEVER))
+    )
+    if not jobs:
+        msg = f"{directory or options.state}: no frames to measure there"
+        raise WorkFailedError(msg)
+    results = []
+    with progress(len(jobs), "measuring") as steps:
+        for slot_utc, measure in jobs:
+            results.append((slot_utc, measure()))
+            steps.next()
+    tell(results, calibration.id, output, as_json=as_json)
+
+
+def chosen_calibration(
+    config: Config, state: Path, calibration_id: int | None
+) -> ActiveCalibration:
+    """Read a calibration, or the active one. Raises WorkFailedError when there is none."""
+    try:
+        with open_store_readonly(state) as store:
+            record = (
+                store.active_calibration()
+                if calibration_id is None
+                else store.calibration(calibration_id)
+            )
+    except DatabaseMissingError:
+        record = None
+    if record is None:
+        which = "active calibration" if calibration_id is None else f"calibration {calibration_id}"
+        msg = f"{state}: no {which}; run dcam-ctl calibrate with the same --state first"
+        raise WorkFailedError(msg)
+    if record.config_hash != config.config_hash():
+        note(f"warning: the config has changed since calibration {record.id} was made")
+    return ActiveCalibration(record.id, read_calibration(record))
+
+
+def read_calibration(record: CalibrationRecord) -> Calibration:
+    """Give a stored calibration. Raises WorkFailedError when it cannot be read."""
+    try:
+        return record.calibration
+    except (KeyError, TypeError, ValueError) as error:
+        msg = f"calibration {record.id} cannot be read ({error!r}); calibrate again"
+        raise WorkFailedError(msg) from error
+
+
+def jobs_in_set(frames: FrameSet, site: Site, calibration: ActiveCalibration) -> Iterator[Job]:
+    """The `measure` rows of a frame set, in order."""
+    for row in frames.rows_of("measure"):
+        main, sub = (
+            frames.directory / name if name is not None else None for name in (row.main, row.sub)
+        )
+        yield row.slot_utc, partial(measure_files, main, sub, site, calibration, _skew_s(row))
+
+
+def jobs_kept(
+    state: Path, site: Site, calibration: ActiveCalibration, since: datetime, until: datetime
+) -> Iterator[Job]:
+    """The pairs of the archive with since <= slot < until, in order."""
+    archive = FrameArchive(state)
+    for slot_utc in archive.stored_slots(since):
+        if slot_utc < until:
+            yield slot_utc, partial(_measure_kept, archive, slot_utc, site, calibration)
+
+
+def _measure_kept(
+    archive: FrameArchive, slot_utc: datetime, site: Site, calibration: ActiveCalibration
+) -> Measurement:
+    try:
+        pair = archive.load(slot_utc)
+    except FrameSetError as error:
+        note(f"warning: {error}")
+        reasons = (Reason.MAIN_IMAGE_UNREADABLE, Reason.SUB_IMAGE_UNREADABLE)
+        return Measurement(Flag.BAD, reasons, None, None, None)
+    return measure_images(pair.main, pair.sub, site, calibration, pair.skew_s)
+
+
+def _skew_s(row: FrameSetRow) -> float | None:
+    """The skew that the frame archive keeps in its tables; other sets have none."""
+    try:
+        return float(row.extra.get("skew_s", ""))
+    except ValueError:
+        return None
+
+
+def tell(
+    results: list[Result], calibration_id: int | None, output: Path | None, *, as_json: bool
+) -> None:
+    """Write the table and a summary of the flags; with `--json` the rows on stdout."""
+    if output is not None or not as_json:
+        with opened_output(output) as table:
+            write_results(results, table)
+    if as_json:
+        rows = [result_fields(slot_utc, measurement) for slot_utc, measurement in results]
+        print_json(
+            {
+                "command": "reprocess",
+                "calibration": calibration_id,
+                "output": output,
+                "rows": rows,
+            }
+        )
+    note(f"{len(results)} rows with calibration {calibration_id}: {count_flags(results)}")
+
+
+def count_flags(results: Iterable[Result]) -> str:
+    """How many rows have which flag, in words."""
+    counts = Counter(measurement.flag for _, measurement in results)
+    return ", ".join(f"{counts[flag]} {flag.name.lower()}" for flag in Flag if counts[flag])
