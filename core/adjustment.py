@@ -49,7 +49,7 @@ class Adjusted:
 
     lens: Lens
     shape: FloatArray
-    """(13,) scale x, scale y, shear, bow terms (see `_shape_terms`)."""
+    """(13,) scale x, scale y, shear, bow terms (see `shape_terms`)."""
     offsets_mm: FloatArray
     """(corners, 2)."""
     poses: tuple[Pose, ...]
@@ -57,15 +57,20 @@ class Adjusted:
     corners_mm: FloatArray
     """(corners, 3) the board as estimated."""
     covariance: FloatArray
-    """Of lens, shape, rig and the first pose, in this order: (10 + 13 + 8 + 6) square."""
+    """Of lens, shape, rig and the first pose, in this order: (10 + 13 + 8 + 6) square.
+
+    The first pose is what is left of it once the errors of lens and board have had their effect
+    on a pose fitted to its image: those turn all poses nearly alike, and only differences of
+    poses are ever used.
+    """
     scale: float
     """Ratio of the residuals to their predicted size."""
     view_rms_px: tuple[float, ...]
     main_rms_px: float
 
 
-def _shape_terms(board: Board) -> FloatArray:
-    """d(corner)/d(shape) (corners, 3, 13) about the board's centre."""
+def shape_terms(board: Board) -> FloatArray:
+    """d(corner)/d(shape) (corners, 3, 13): scale x, scale y, shear, then ten terms of bow."""
     flat = board.corners_mm
     centre = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
     x, y = (flat - centre)[:, 0], (flat - centre)[:, 1]
@@ -85,9 +90,32 @@ def _shape_sigmas(priors: AdjustmentPriors) -> FloatArray:
 
 
 def _build_board(board: Board, shape: FloatArray, offsets: FloatArray) -> FloatArray:
-    corners = board.corners_mm + _shape_terms(board) @ shape
+    corners = board.corners_mm + shape_terms(board) @ shape
     corners[:, :2] += offsets
     return corners
+
+
+def pose_sensitivity(
+    lens: Lens,
+    pose: Pose,
+    corners_mm: FloatArray,
+    terms: FloatArray,
+    view: BoardView,
+    root: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """How a pose fitted to located corners follows lens and board.
+
+    The pose is where J^T W (u - f) = 0, so it moves by -(J^T W J)^-1 J^T W df/dx. Gives that by
+    lens and shape (6, 23) and by the corners' offsets (6, n, 2). root (n, 2, 2) whitens.
+    """
+    _, by_pose, by_point, by_lens = pose_jacobian(lens, pose, corners_mm[view.index])
+    flat = (root @ by_pose).reshape(-1, 6)
+    by_shape = by_point @ terms[view.index]
+    rest = (root @ np.concatenate([by_lens, by_shape], axis=2)).reshape(len(flat), -1)
+    normal = flat.T @ flat
+    weighted = (root @ by_pose).transpose(0, 2, 1) @ root @ by_point[:, :, :2]
+    by_offset = -np.linalg.solve(normal, weighted.transpose(1, 0, 2).reshape(6, -1))
+    return -np.linalg.solve(normal, flat.T @ rest), by_offset.reshape(6, -1, 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,11 +175,9 @@ def adjust(
             break
         scale = system.scale
     system = problem.linearise(state, scale)
-    covariance = np.linalg.inv(system.reduced()) * system.scale**2
-    keep = np.r_[0 : problem.layout.pose(0).stop]
     return replace(
         state,
-        covariance=covariance[np.ix_(keep, keep)],
+        covariance=problem.covariance(state, system),
         scale=system.scale,
         view_rms_px=tuple(system.view_rms),
         main_rms_px=system.main_rms,
@@ -207,7 +233,7 @@ class _Problem:
         self.board, self.views, self.priors = board, views, priors
         self.start_lens, self.start_rig, self.main_views = start_lens, start_rig, main_views
         self.whitening = [view.whitening() for view in views]
-        self.terms = _shape_terms(board)
+        self.terms = shape_terms(board)
         self.layout = _Layout(len(views))
         layout = self.layout
         sigma = np.full(layout.size, np.inf)
@@ -231,9 +257,7 @@ class _Problem:
         self._add_priors(system, state)
         return system
 
-    def _add_board_view(
-        self, system: _System, state: Adjusted, v: int, scale: float
-    ) -> FloatArray:
+    def _add_board_view(self, system: _System, state: Adjusted, v: int, scale: float) -> FloatArray:
         """Add one view's corners; their whitened residual norms come back."""
         view, layout = self.views[v], self.layout
         projected, by_pose, by_point, by_lens = pose_jacobian(
@@ -302,6 +326,28 @@ class _Problem:
         system.corner += np.eye(2) * (system.scale / corner_sigma) ** 2
         system.corner_right -= state.offsets_mm * (system.scale / corner_sigma) ** 2
 
+    def covariance(self, state: Adjusted, system: _System) -> FloatArray:
+        """Covariance of lens, shape, rig and first pose, see `Adjusted.covariance`.
+
+        With S the reduced normal matrix, C and X the corner and cross blocks, and y = A d + B o
+        of dense unknowns d and offsets o: cov y = (A - B C^-1 X) S^-1 (..)^T + B C^-1 B^T.
+        """
+        layout, view = self.layout, self.views[0]
+        first = layout.pose(0)
+        by_lens_shape, by_offset = pose_sensitivity(
+            state.lens, state.poses[0], state.corners_mm, self.terms, view, self.whitening[0]
+        )
+        through = np.linalg.solve(system.corner[view.index], by_offset.transpose(1, 2, 0))
+        transform = np.eye(first.stop, layout.size)
+        transform[first, : layout.shape.stop] -= by_lens_shape
+        transform[first] += np.einsum("nci,ncs->is", through, system.cross[view.index])
+        reduced = system.reduced()
+        unit = 1.0 / np.sqrt(np.diag(reduced))
+        scaled = np.linalg.inv(reduced * unit[:, None] * unit)
+        covariance = (transform * unit) @ scaled @ (transform * unit).T
+        covariance[first, first] += np.einsum("inc,ncj->ij", by_offset, through)
+        return np.asarray(covariance * system.scale**2)
+
     def step(self, state: Adjusted, step: FloatArray, offset_step: FloatArray) -> Adjusted:
         layout = self.layout
         shape = state.shape + step[layout.shape]
@@ -311,9 +357,7 @@ class _Problem:
             lens=Lens(state.lens.parameters + step[layout.lens]),
             shape=shape,
             offsets_mm=offsets,
-            poses=tuple(
-                pose.perturbed(step[layout.pose(v)]) for v, pose in enumerate(state.poses)
-            ),
+            poses=tuple(pose.perturbed(step[layout.pose(v)]) for v, pose in enumerate(state.poses)),
             rig=None if state.rig is None else state.rig.perturbed(step[layout.rig]),
             corners_mm=_build_board(self.board, shape, offsets),
         )

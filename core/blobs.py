@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from core.site import FloatArray
+from core.site import FloatArray, IntArray
 
 _LEVELS = 14
 _MIN_RADIUS_PX = 3.0
@@ -40,11 +40,12 @@ def find_blobs(grey: FloatArray, min_contrast_dn: float = 4.0) -> Blobs:
     """
     shrink = 0.5 if max(grey.shape) > 1000 else 1.0
     small = cv2.resize(grey, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
-    smooth = cv2.GaussianBlur(small, (0, 0), 1.0)
-    gradient = cv2.magnitude(
+    smooth = np.asarray(cv2.GaussianBlur(small, (0, 0), 1.0), dtype=np.float32)
+    slope = cv2.magnitude(
         cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125),
         cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125),
     )
+    gradient = np.asarray(slope, dtype=np.float32)
     found: list[tuple[float, ...]] = []
     for level in _levels(smooth):
         found.extend(_round_regions(smooth, gradient, level))
@@ -63,12 +64,12 @@ def _round_regions(
     mask = (smooth > level).astype(np.uint8)
     contours, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     height, width = smooth.shape
-    regions = []
+    regions: list[tuple[float, ...]] = []
     for contour in contours:
         if len(contour) < 12 or len(contour) > 2 * (width + height):
             continue
         area = cv2.contourArea(contour)
-        x, y, w, h = cv2.boundingRect(contour)
+        _, _, w, h = cv2.boundingRect(contour)
         if not 0.6 < area / (0.25 * np.pi * w * h) < 1.5 or max(w, h) > 0.5 * width:
             continue
         (cx, cy), (d1, d2), angle = cv2.fitEllipse(contour)
@@ -78,26 +79,24 @@ def _round_regions(
         if not 0.85 < (area + 0.5 * len(contour)) / (np.pi * a * b) < 1.15:
             continue
         contrast = _contrast(smooth, cx, cy, a, b, angle)
-        edge = contour[:, 0]
+        edge = np.asarray(contour[:, 0], dtype=np.int64)
         sharpness = float(np.median(gradient[edge[:, 1], edge[:, 0]]))
         if contrast > 0 and _fills_ellipse(edge, cx, cy, a, b, angle):
             regions.append((cx, cy, a, b, angle, contrast, sharpness))
     return regions
 
 
-def _unit_ellipse(cx: float, cy: float, a: float, b: float, angle: float) -> FloatArray:
-    """(32, 2) offsets of points on an ellipse."""
+def _ellipse(a: float, b: float, angle: float) -> FloatArray:
+    """(32, 2) offsets of points on an ellipse from its centre."""
     t = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
     c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
     x, y = a * np.cos(t), b * np.sin(t)
-    return np.stack([c * x - s * y, s * x + c * y], axis=1) + 0.0 * np.array([cx, cy])
+    return np.stack([c * x - s * y, s * x + c * y], axis=1)
 
 
-def _contrast(
-    smooth: FloatArray, cx: float, cy: float, a: float, b: float, angle: float
-) -> float:
+def _contrast(smooth: FloatArray, cx: float, cy: float, a: float, b: float, angle: float) -> float:
     """Grey values just inside minus just outside; not positive if any part is reversed."""
-    ring = _unit_ellipse(cx, cy, a, b, angle)
+    ring = _ellipse(a, b, angle)
     values = []
     for factor, extra in ((0.75, 0.0), (1.15, 1.5)):
         scaled = ring * factor + extra * ring / np.hypot(ring[:, :1], ring[:, 1:])
@@ -110,9 +109,7 @@ def _contrast(
     return float(np.median(inside) - np.median(outside))
 
 
-def _fills_ellipse(
-    edge: FloatArray, cx: float, cy: float, a: float, b: float, angle: float
-) -> bool:
+def _fills_ellipse(edge: IntArray, cx: float, cy: float, a: float, b: float, angle: float) -> bool:
     """Whether most of the contour lies on the ellipse."""
     c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
     dx, dy = edge[:, 0] - cx, edge[:, 1] - cy
@@ -121,10 +118,9 @@ def _fills_ellipse(
 
 
 def _best_of_concentric(found: FloatArray, min_contrast_dn: float, shrink: float) -> Blobs:
-    found = found[found[:, 5] >= min_contrast_dn] if len(found) else found
-    order = np.argsort(-found[:, 6]) if len(found) else []
+    found = found[found[:, 5] >= min_contrast_dn]
     kept: list[FloatArray] = []
-    for blob in found[order]:
+    for blob in found[np.argsort(-found[:, 6])]:
         if all(np.hypot(*(blob[:2] - k[:2])) > 0.5 * max(min(k[2:4]), 3.0) for k in kept):
             kept.append(blob)
     best = np.array(kept).reshape(-1, 7)

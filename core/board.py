@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.site import CheckerboardTarget, FloatArray
+from core.site import CheckerboardTarget, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,11 +31,6 @@ class Board:
         flat = np.stack([(i + 1) * target.square_mm, (j + 1) * target.square_mm, 0.0 * i], axis=1)
         return cls(columns, rows, target.square_mm, flat)
 
-    def index(self, i: FloatArray, j: FloatArray) -> FloatArray:
+    def index(self, i: IntArray, j: IntArray) -> IntArray:
         """Index of corners by column and row."""
         return j * self.columns + i
-
-    def polarity(self) -> FloatArray:
-        """(n,) +1 where the square up and left of the corner is black, else -1."""
-        j, i = np.divmod(np.arange(self.columns * self.rows), self.columns)
-        return np.where((i + j) % 2 == 0, 1.0, -1.0)

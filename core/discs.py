@@ -11,7 +11,7 @@ from core.blobs import Blobs, find_blobs
 from core.errors import TargetNotFoundError
 from core.frames import GreyImage
 from core.photometric import as_float, locate_discs
-from core.site import CirclesTarget, FloatArray
+from core.site import BoolArray, CirclesTarget, FloatArray
 
 MIN_DISCS = 3
 _MAX_ROLL_DEG = 50.0
@@ -24,8 +24,8 @@ _MIN_CLEAN = 0.5
 class Discs:
     """The target's discs in one image."""
 
-    found: FloatArray
-    """(n,) bool, in the order of the target's centres."""
+    found: BoolArray
+    """(n,), in the order of the target's centres."""
     points_px: FloatArray
     """(n, 2), NaN where not found."""
     covariance_px2: FloatArray
@@ -113,7 +113,8 @@ def _hypotheses(
     place = layout[:, 0] + 1j * layout[:, 1]
     spots = blobs.points_px[:, 0] + 1j * blobs.points_px[:, 1]
     blob_radii = blobs.radius_px
-    a, b = np.array(list(permutations(range(len(spots)), 2))).reshape(-1, 2).T
+    pairs = list(permutations(range(len(spots)), 2))
+    a, b = np.array(pairs, dtype=int).reshape(-1, 2).T
     hypotheses = []
     for i in range(len(place)):
         for j in range(i + 1, len(place)):

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from core.board import Board
 from core.errors import TargetNotFoundError
 from core.saddles import Saddles
-from core.site import FloatArray
+from core.site import BoolArray, FloatArray, IntArray
 
 _NEIGHBOURS = 13
 _MIN_CORNERS = 12
@@ -21,7 +21,7 @@ _MIN_CORNERS = 12
 class Lattice:
     """Corners with lattice coordinates (i to the right, j down), known up to a shift."""
 
-    ij: FloatArray
+    ij: IntArray
     """(n, 2) integers, smallest 0."""
     points_px: FloatArray
     """(n, 2)."""
@@ -48,7 +48,7 @@ def join(saddles: Saddles) -> Lattice:
     return _upright(best, saddles, arms)
 
 
-def _links(saddles: Saddles) -> tuple[FloatArray, FloatArray]:
+def _links(saddles: Saddles) -> tuple[FloatArray, IntArray]:
     """Arms (n, 4, 2), clockwise, and for each arm the saddle it leads to (n, 4), or -1."""
     points = saddles.points_px
     n = len(points)
@@ -56,12 +56,13 @@ def _links(saddles: Saddles) -> tuple[FloatArray, FloatArray]:
     arms = np.stack(
         [np.stack([np.cos(t), np.sin(t)], axis=1) for t in (a, b, a + np.pi, b + np.pi)], axis=1
     )
-    _, near = cKDTree(points).query(points, k=min(_NEIGHBOURS, n))
-    near = near[:, 1:]
+    nearest = cKDTree(points).query(points, k=min(_NEIGHBOURS, n))[1]
+    near = np.asarray(nearest, dtype=np.int64)[:, 1:]
     offset = points[near] - points[:, None]  # (n, k, 2)
     along = np.einsum("nkc,nac->nka", offset, arms)
-    across = np.abs(offset[:, :, None, 0] * arms[:, None, :, 1]
-                    - offset[:, :, None, 1] * arms[:, None, :, 0])
+    across = np.abs(
+        offset[:, :, None, 0] * arms[:, None, :, 1] - offset[:, :, None, 1] * arms[:, None, :, 0]
+    )
     parallel = np.abs(np.einsum("nkbc,nac->nkab", arms[near], arms)).max(axis=3) > 0.94
     # Along an edge the corners alternate: in the arm's own frame the sector clockwise of it.
     side = saddles.polarity[:, None] * np.array([1.0, -1.0, 1.0, -1.0])
@@ -75,7 +76,7 @@ def _links(saddles: Saddles) -> tuple[FloatArray, FloatArray]:
     return arms, _mutual(links)
 
 
-def _mutual(links: FloatArray) -> FloatArray:
+def _mutual(links: IntArray) -> IntArray:
     n = len(links)
     back = np.zeros_like(links, dtype=bool)
     for arm in range(4):
@@ -87,7 +88,7 @@ def _mutual(links: FloatArray) -> FloatArray:
 _STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
-def _grow(seed: int, arms: FloatArray, links: FloatArray) -> dict[int, tuple[int, int, int]]:
+def _grow(seed: int, arms: FloatArray, links: IntArray) -> dict[int, tuple[int, int, int]]:
     """Label what hangs together with a seed: {saddle: (i, j, arm that points along +i)}."""
     labels = {seed: (0, 0, 0)}
     taken = {(0, 0): seed}
@@ -133,7 +134,7 @@ def _upright(
 class NamedLattice:
     """Corners of a lattice with their index on the board."""
 
-    index: FloatArray
+    index: IntArray
     """(n,) index into Board.corners_mm."""
     points_px: FloatArray
     """(n, 2)."""
@@ -144,32 +145,54 @@ class NamedLattice:
 
 
 def name_on_board(
-    lattice: Lattice, board: Board, width_px: int, height_px: int
+    lattice: Lattice,
+    board: Board,
+    width_px: int,
+    height_px: int,
+    expected_px: FloatArray | None = None,
 ) -> NamedLattice:
     """Find which corners of the board a lattice shows, from its parity and the board's border.
 
-    Turns by quarter turns are tried in the order upright, left, right, upside down. Where
-    several positions remain, the middle one is taken and `certain` is False.
-    Raises TargetNotFoundError.
+    Where several positions remain, the one nearest to expected_px (corners, 2), the predicted
+    image of all corners, is taken, else the middle one, and `certain` is False unless the
+    prediction decides clearly. Without a prediction, turns by quarter turns are tried in the
+    order upright, right, left, upside down. Raises TargetNotFoundError.
     """
     for quarter in (0, 1, 3, 2):
         turned = _turned(lattice, quarter)
         places = _places(turned, board, _borders(turned, width_px, height_px))
         if places:
-            shift = places[len(places) // 2]
+            shift, certain = _choose(turned, board, places, expected_px)
             ij = turned.ij + shift
-            return NamedLattice(
-                ij[:, 1] * board.columns + ij[:, 0],
-                turned.points_px,
-                _steps(turned),
-                len(places) == 1,
-            )
+            index = board.index(ij[:, 0], ij[:, 1])
+            return NamedLattice(index, turned.points_px, _steps(turned), certain)
     size = lattice.ij.max(axis=0) + 1
     msg = (
         f"no checkerboard: found {size[0]}x{size[1]} corners in the image, the board has "
         f"{board.columns}x{board.rows}"
     )
     raise TargetNotFoundError(msg)
+
+
+def _choose(
+    lattice: Lattice,
+    board: Board,
+    places: list[tuple[int, int]],
+    expected_px: FloatArray | None,
+) -> tuple[tuple[int, int], bool]:
+    """Pick one of the places; say whether it is the only sensible one."""
+    if len(places) == 1:
+        return places[0], True
+    if expected_px is None:
+        return places[len(places) // 2], False
+    ij = lattice.ij
+    away = []
+    for i, j in places:
+        miss = lattice.points_px - expected_px[board.index(ij[:, 0] + i, ij[:, 1] + j)]
+        away.append(float(np.median(np.hypot(miss[:, 0], miss[:, 1]))))
+    order = np.argsort(away)
+    # Places lie a diagonal step apart or more; the prediction must be much nearer to one.
+    return places[order[0]], away[order[0]] < 0.5 * away[order[1]]
 
 
 def _turned(lattice: Lattice, quarter: int) -> Lattice:
@@ -180,7 +203,7 @@ def _turned(lattice: Lattice, quarter: int) -> Lattice:
     return Lattice(ij - ij.min(axis=0), lattice.points_px, polarity)
 
 
-def _places(lattice: Lattice, board: Board, borders: FloatArray) -> list[tuple[int, int]]:
+def _places(lattice: Lattice, board: Board, borders: BoolArray) -> list[tuple[int, int]]:
     """Shifts (i, j) at which the lattice lies on the board with its parity and borders right."""
     room = np.array([board.columns, board.rows]) - lattice.ij.max(axis=0) - 1
     if (room < 0).any():
@@ -191,8 +214,9 @@ def _places(lattice: Lattice, board: Board, borders: FloatArray) -> list[tuple[i
     for axis in range(2):
         at_start, at_end = borders[axis]
         allowed = range(room[axis] + 1)
-        fitting = [s for s in allowed if (not at_start or s == 0) and
-                   (not at_end or s == room[axis])]
+        fitting = [
+            s for s in allowed if (not at_start or s == 0) and (not at_end or s == room[axis])
+        ]
         options.append(fitting or list(allowed))
     return [(i, j) for i in options[0] for j in options[1] if (i + j) % 2 == odd_shift]
 
@@ -205,8 +229,8 @@ def _grid(lattice: Lattice) -> FloatArray:
     return grid
 
 
-def _borders(lattice: Lattice, width_px: int, height_px: int) -> FloatArray:
-    """(2, 2) bool: at the start and the end of each axis, does the board itself end there?
+def _borders(lattice: Lattice, width_px: int, height_px: int) -> BoolArray:
+    """(2, 2): whether the board itself ends at the start and the end of each axis.
 
     It does if most next corners, extrapolated, would lie well inside the image.
     """

@@ -73,7 +73,7 @@ class Lens:
         return np.stack([u, beta * distorted[:, 1] + nu], axis=1)
 
     def project_jacobians(self, points_mm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Project points (n, 3); also give d(px)/d(point) (n, 2, 3) and d(px)/d(lens) (n, 2, 10)."""
+        """Project points (n, 3), with d(px)/d(point) (n, 2, 3) and d(px)/d(lens) (n, 2, 10)."""
         alpha, beta, gamma = self.parameters[:3]
         z = points_mm[:, 2]
         xy = points_mm[:, :2] / z[:, None]

@@ -2,9 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from core.calibration import Calibration
-from core.frames import GreyImage
-from core.results import Measurement
+from core.compensation import corrected_displacement, raw_displacement, rig_motion
+from core.corners import LocatedBoard, locate_board
+from core.discs import Discs, find_discs
+from core.errors import ImageError, TargetNotFoundError
+from core.frames import GreyImage, require_size
+from core.quality import (
+    flag_of,
+    judge_main,
+    judge_motion,
+    judge_sub,
+    judge_value,
+    overexposed,
+    too_dark,
+)
+from core.resection import BoardPose, resect
+from core.results import Diagnostics, Displacement, Measurement, Reason
+from core.setup import Setup
 from core.site import Site
 
 
@@ -14,6 +31,109 @@ def measure_pair(
     site: Site,
     calibration: Calibration,
     skew_s: float | None = None,
+    known: tuple[Reason, ...] = (),
 ) -> Measurement:
-    """Measure one pair. Never raises for what an image shows; None means no usable image."""
-    raise NotImplementedError
+    """Measure one pair.
+
+    Discs, board, pose, rig motion, false displacement, displacement, verdict. Never raises for
+    what an image shows: None means there is no usable image, and `known` are reasons that the
+    caller already has (an unreadable file, say).
+    """
+    setup = calibration.setup
+    main_seen, reasons = _see_main(main, site, setup)
+    sub_seen, sub_reasons = _see_sub(sub, site, setup)
+    reasons = [*known, *reasons, *sub_reasons]
+    raw = corrected = motion = None
+    if main_seen is not None:
+        raw, shift = main_seen.raw, main_seen.residual_px
+    else:
+        shift = None
+    if sub_seen is not None:
+        motion = rig_motion(setup, sub_seen.pose)
+        reasons += judge_motion(setup, motion, site)
+    if main_seen is not None and sub_seen is not None:
+        corrected, common = corrected_displacement(
+            setup, main_seen.discs, sub_seen.pose, sub_seen.located.view
+        )
+        shift = common.residual_px
+        reasons += judge_main(setup, main_seen.discs, common) + judge_value(corrected, site)
+    if skew_s is not None and abs(skew_s) * 1e3 > site.quality.max_skew_ms:
+        reasons.append(Reason.NOT_SIMULTANEOUS)
+    unique = tuple(dict.fromkeys(reasons))
+    return Measurement(
+        flag_of(unique, has_value=corrected is not None),
+        unique,
+        corrected,
+        raw,
+        motion,
+        _diagnostics(main_seen, sub_seen, shift),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _MainSeen:
+    discs: Discs
+    raw: Displacement
+    residual_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class _SubSeen:
+    located: LocatedBoard
+    pose: BoardPose
+
+
+def _see_main(
+    image: GreyImage | None, site: Site, setup: Setup
+) -> tuple[_MainSeen | None, list[Reason]]:
+    if image is None:
+        return None, [Reason.MAIN_IMAGE_MISSING]
+    try:
+        require_size(image, site.main, "main image")
+    except ImageError:
+        return None, [Reason.MAIN_IMAGE_UNREADABLE]
+    reasons = [Reason.OVEREXPOSED] if overexposed(image) else []
+    scale = site.main.focal_px / site.main_target.distance_mm
+    try:
+        discs = find_discs(image, site.main_target, scale)
+        raw, shift = raw_displacement(setup, discs)
+    except TargetNotFoundError:
+        dark = [Reason.TOO_DARK] if too_dark(image) else []
+        return None, [*reasons, *dark, Reason.MAIN_TARGET_NOT_FOUND]
+    return _MainSeen(discs, raw, shift.residual_px), reasons
+
+
+def _see_sub(
+    image: GreyImage | None, site: Site, setup: Setup
+) -> tuple[_SubSeen | None, list[Reason]]:
+    if image is None:
+        return None, [Reason.SUB_IMAGE_MISSING]
+    try:
+        require_size(image, site.sub, "sub image")
+    except ImageError:
+        return None, [Reason.SUB_IMAGE_UNREADABLE]
+    reasons = [Reason.OVEREXPOSED] if overexposed(image) else []
+    try:
+        located = locate_board(
+            image, setup.lens, setup.board, setup.corners_mm, setup.reference_pose
+        )
+        pose = resect(setup.lens, setup.corners_mm, located.view)
+    except TargetNotFoundError:
+        dark = [Reason.TOO_DARK] if too_dark(image) else []
+        return None, [*reasons, *dark, Reason.SUB_TARGET_NOT_FOUND]
+    return _SubSeen(located, pose), reasons + judge_sub(setup, located, pose)
+
+
+def _diagnostics(
+    main: _MainSeen | None, sub: _SubSeen | None, residual_px: float | None
+) -> Diagnostics:
+    return Diagnostics(
+        discs_found=0 if main is None else int(main.discs.found.sum()),
+        corners_used=0 if sub is None else int((sub.pose.weights > 0.5).sum()),
+        main_residual_px=residual_px,
+        sub_residual_px=None if sub is None else sub.pose.rms_px,
+        main_contrast_dn=None if main is None else main.discs.contrast_dn,
+        sub_contrast_dn=None if sub is None else sub.located.contrast_dn,
+        main_blur_px=None if main is None else main.discs.blur_px,
+        sub_blur_px=None if sub is None else sub.located.blur_px,
+    )

@@ -8,10 +8,12 @@ import numpy as np
 
 from core.frames import GreyImage
 from core.kernels import CORNER_PARAMETERS, DISC_PARAMETERS, fit_corners, fit_discs
-from core.site import FloatArray
+from core.site import BoolArray, FloatArray
 
 CORNER_REACH_SQUARES = 0.46
 """The model covers the pixels nearer to this corner than to its neighbours."""
+CORNER_BAND_PX = 5.0
+"""Pixels further than this from both edges of a corner are flat and add nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,8 +24,8 @@ class CornerFits:
     """(n, 2)."""
     covariance_px2: FloatArray
     """(n, 2, 2) from the noise measured about each corner."""
-    usable: FloatArray
-    """(n,) bool."""
+    usable: BoolArray
+    """(n,)."""
     noise_dn: FloatArray
     """(n,) rms of the grey values about the model."""
     contrast_dn: FloatArray
@@ -47,42 +49,62 @@ def locate_corners(
     """Locate corners near predicted points.
 
     grey (h, w) float32; points_px (n, 2); maps (n, 2, 5): board coordinates about the corner in
-    squares as polynomials (u, v, u^2, u v, v^2) of the pixel's offset. A first fit measures the
-    noise, a second one fades out the pixels that the model cannot explain.
+    squares as polynomials (u, v, u^2, u v, v^2) of the pixel's offset. A few corners tell the
+    noise first, so that the fit can fade out the pixels that the model cannot explain.
     """
-    n = len(points_px)
+    points_px, maps = np.ascontiguousarray(points_px), np.ascontiguousarray(maps)
     to_px = np.linalg.inv(maps[:, :, :2])
     half = 1.05 * reach_squares * np.abs(to_px).sum(axis=2).max(axis=1) + 1.0
+    limits = np.array([reach_squares, CORNER_BAND_PX, saturation_dn])
+    noise = _typical_noise(grey, points_px, maps, half, limits)
+    n = len(points_px)
     state = np.zeros((n, CORNER_PARAMETERS))
     information, figures = np.zeros((n, 2, 2)), np.zeros((n, 4))
-    limits = np.array([reach_squares, saturation_dn])
-    fixed = (np.ascontiguousarray(points_px), np.ascontiguousarray(maps), half)
-    fit_corners(grey, *fixed, np.zeros(n), limits, 4, state, information, figures)
+    scale = np.full(n, noise)
+    fit_corners(grey, points_px, maps, half, scale, limits, 6, state, information, figures)
     ok = figures[:, 3] > 0
-    noise = _noise(figures, CORNER_PARAMETERS)
-    typical = float(np.median(noise[ok])) if ok.any() else 1.0
-    state[~ok, 8] = 0.0
-    scale = np.full(n, max(typical, 0.3))
-    fit_corners(grey, *fixed, scale, limits, 3, state, information, figures)
-    ok = figures[:, 3] > 0
-    noise = _noise(figures, CORNER_PARAMETERS)
+    noise_each = _noise(figures, CORNER_PARAMETERS)
     return CornerFits(
         points_px + state[:, :2],
-        _covariances(information, noise, ok),
+        _covariances(information, noise_each, ok),
         ok,
-        noise,
+        noise_each,
         2.0 * np.abs(state[:, 5]),
         state[:, 8],
     )
 
 
+def _typical_noise(
+    grey: FloatArray, points: FloatArray, maps: FloatArray, half: FloatArray, limits: FloatArray
+) -> float:
+    """Median rms residual of a sample of corners, DN."""
+    every = max(1, len(points) // 60)
+    some = slice(None, None, every)
+    n = len(points[some])
+    state, figures = np.zeros((n, CORNER_PARAMETERS)), np.zeros((n, 4))
+    fit_corners(
+        grey,
+        np.ascontiguousarray(points[some]),
+        np.ascontiguousarray(maps[some]),
+        np.ascontiguousarray(half[some]),
+        np.zeros(n),
+        limits,
+        4,
+        state,
+        np.zeros((n, 2, 2)),
+        figures,
+    )
+    ok = figures[:, 3] > 0
+    return float(np.median(_noise(figures, CORNER_PARAMETERS)[ok])) if ok.any() else 1.0
+
+
 def _noise(figures: FloatArray, parameters: int) -> FloatArray:
-    """rms residual per point, DN, with the rounding to whole grey values as its floor."""
+    """Root mean square residual per point, DN; rounding to whole values is its floor."""
     freedom = np.maximum(figures[:, 1] - parameters, 1.0)
     return np.sqrt(figures[:, 0] / freedom + 1.0 / 12.0)
 
 
-def _covariances(information: FloatArray, noise: FloatArray, ok: FloatArray) -> FloatArray:
+def _covariances(information: FloatArray, noise: FloatArray, ok: BoolArray) -> FloatArray:
     covariance = np.full((len(ok), 2, 2), np.nan)
     if ok.any():
         covariance[ok] = np.linalg.inv(information[ok]) * (noise[ok] ** 2)[:, None, None]
@@ -97,8 +119,8 @@ class DiscFits:
     """(n, 2) centres of the outlines."""
     covariance_px2: FloatArray
     """(n, 2, 2)."""
-    usable: FloatArray
-    """(n,) bool."""
+    usable: BoolArray
+    """(n,)."""
     outline_px: FloatArray
     """(n, 2, 2) symmetric matrix taking the unit circle to the outline."""
     noise_dn: FloatArray

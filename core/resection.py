@@ -10,10 +10,10 @@ import numpy as np
 from core.errors import TargetNotFoundError
 from core.lens import Lens
 from core.pose import Pose, skew_matrix
-from core.site import FloatArray
+from core.site import BoolArray, FloatArray, IntArray
 
 MIN_CORNERS = 8
-POSITION_FLOOR_PX = 0.002
+POSITION_FLOOR_PX = 0.0005
 """What a located corner is not trusted beyond, however low the noise: the model's own error."""
 
 
@@ -21,14 +21,14 @@ POSITION_FLOOR_PX = 0.002
 class BoardView:
     """Corners of the board located in one image."""
 
-    index: FloatArray
+    index: IntArray
     """(n,) index into Board.corners_mm."""
     points_px: FloatArray
     """(n, 2)."""
     covariance_px2: FloatArray
     """(n, 2, 2)."""
 
-    def select(self, keep: FloatArray) -> BoardView:
+    def select(self, keep: BoolArray) -> BoardView:
         """Give the view of some of the corners."""
         return BoardView(self.index[keep], self.points_px[keep], self.covariance_px2[keep])
 
@@ -78,7 +78,9 @@ def start_pose(lens: Lens, points_mm: FloatArray, points_px: FloatArray) -> Pose
     if not ok or translation[2, 0] <= 0:
         msg = "sub target: no pose fits the corners found"
         raise TargetNotFoundError(msg)
-    return Pose.from_vectors(rotation[:, 0], translation[:, 0])
+    return Pose.from_vectors(
+        np.asarray(rotation[:, 0], dtype=float), np.asarray(translation[:, 0], dtype=float)
+    )
 
 
 def pose_jacobian(lens: Lens, pose: Pose, points_mm: FloatArray) -> tuple[FloatArray, ...]:
@@ -119,6 +121,4 @@ def resect(
         pose = pose.perturbed(step)
         if float(np.abs(step).max()) < 1e-10:
             break
-    return BoardPose(
-        pose, np.linalg.inv(normal) * scale**2, residual, weights, float(scale**2)
-    )
+    return BoardPose(pose, np.linalg.inv(normal) * scale**2, residual, weights, float(scale**2))

@@ -18,7 +18,7 @@ class Flag(IntEnum):
 
 
 class Reason(StrEnum):
-    """Why a row is not good: a closed list, in the order of `frames.csv` to `row`."""
+    """Why a row is not good: a closed list."""
 
     MAIN_IMAGE_UNREADABLE = "main_image_unreadable"
     SUB_IMAGE_UNREADABLE = "sub_image_unreadable"
@@ -32,8 +32,10 @@ class Reason(StrEnum):
     SUB_TARGET_NOT_FOUND = "sub_target_not_found"
     SUB_TARGET_PARTLY_HIDDEN = "sub_target_partly_hidden"
     SUB_TARGET_DISTURBED = "sub_target_disturbed"
+    SUB_TARGET_UNCERTAIN = "sub_target_uncertain"
     BLURRED = "blurred"
     MOTION_OUT_OF_RANGE = "motion_out_of_range"
+    AFFINE_INVALID = "affine_invalid"
     SIGMA_TOO_LARGE = "sigma_too_large"
     NOT_SIMULTANEOUS = "not_simultaneous"
     NO_CALIBRATION = "no_calibration"

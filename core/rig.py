@@ -101,8 +101,10 @@ class Rig:
     def _by_rig(
         self, points_CM1: FloatArray, moved: FloatArray, by_point: FloatArray, motion: Pose
     ) -> FloatArray:
-        """d(u)/d(rig parameters). With Q = R_CM R_j R_CM^T the moved point is
-        X' = Q (X - t) + R_CM T_j + t; X scales with depth, its lateral parts with 1 / scale.
+        """d(u)/d(rig parameters).
+
+        With Q = R_CM R_j R_CM^T the moved point is X' = Q (X - t) + R_CM T_j + t, where
+        X = ((u - c) / scale, depth).
         """
         T_CM = self.T_CM_CS
         turn = T_CM.R @ motion.R @ T_CM.R.T

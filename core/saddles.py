@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from core.site import FloatArray
+from core.site import BoolArray, FloatArray, IntArray
 
 RING_SAMPLES = 48
 _SMOOTHING_PX = 1.5
@@ -31,7 +31,8 @@ def find_saddles(image: FloatArray, ring_px: float = 5.0) -> Saddles:
     The determinant of the Hessian is negative at a saddle; a ring about the point must cross
     its mean grey value four times and look the same turned by half.
     """
-    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTHING_PX)
+    blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTHING_PX)
+    smooth = np.asarray(blurred, dtype=np.float32)
     strength = _negative_hessian_determinant(smooth)
     peaks = _peaks(strength, margin=int(ring_px) + 2)
     points = _refine_peaks(strength, peaks)
@@ -45,11 +46,13 @@ def _negative_hessian_determinant(smooth: FloatArray) -> FloatArray:
     return np.asarray(xy * xy - xx * yy)
 
 
-def _peaks(strength: FloatArray, margin: int) -> FloatArray:
+def _peaks(strength: FloatArray, margin: int) -> IntArray:
     """(n, 2) integer pixels of local maxima above a threshold that follows the local light."""
     is_peak = strength == cv2.dilate(strength, np.ones((7, 7), np.uint8))
-    local = cv2.dilate(cv2.resize(strength, None, fx=0.125, fy=0.125, interpolation=cv2.INTER_AREA),
-                       np.ones((25, 25), np.uint8))
+    local = cv2.dilate(
+        cv2.resize(strength, None, fx=0.125, fy=0.125, interpolation=cv2.INTER_AREA),
+        np.ones((25, 25), np.uint8),
+    )
     local = cv2.resize(local, (strength.shape[1], strength.shape[0]))
     is_peak &= (strength > 0.15 * local) & (strength > 0.05)
     is_peak[:margin] = is_peak[-margin:] = False
@@ -61,7 +64,7 @@ def _peaks(strength: FloatArray, margin: int) -> FloatArray:
     return np.stack([u, v], axis=1)
 
 
-def _refine_peaks(strength: FloatArray, peaks: FloatArray) -> FloatArray:
+def _refine_peaks(strength: FloatArray, peaks: IntArray) -> FloatArray:
     """Refine by the parabola through the neighbours, at most half a pixel."""
     u, v = peaks[:, 0], peaks[:, 1]
     centre = strength[v, u]
@@ -90,7 +93,7 @@ def _check_rings(smooth: FloatArray, points: FloatArray, ring_px: float) -> Sadd
     return _edges_of(points[keep], folded[keep], crossing[keep])
 
 
-def _edges_of(points: FloatArray, folded: FloatArray, crossing: FloatArray) -> Saddles:
+def _edges_of(points: FloatArray, folded: FloatArray, crossing: BoolArray) -> Saddles:
     half = RING_SAMPLES // 2
     if len(points) == 0:
         return Saddles(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))

@@ -1,0 +1,156 @@
+"""False displacement predicted from the rig's motion, and removed (Eq. 15 and 20)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.adjustment import pose_sensitivity
+from core.discs import MIN_DISCS, Discs
+from core.errors import TargetNotFoundError
+from core.paper import PaperModel
+from core.pose import Pose
+from core.resection import BoardPose, BoardView, robust_weights
+from core.results import Displacement, RigMotion
+from core.rig import Rig, motion_by_pose, motion_by_reference
+from core.setup import Setup
+from core.site import FloatArray, IntArray
+
+_CLEAN_MARGIN = 0.04
+_DISC_FLOOR_PX = 0.002
+
+
+def affine(centres_mm: FloatArray, points_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Affine camera [B~, b] of Eq. 7-8 by least squares: (2, 2) px/mm and (2,) px."""
+    design = np.concatenate([centres_mm, np.ones((len(centres_mm), 1))], axis=1)
+    solution = np.linalg.lstsq(design, points_px, rcond=None)[0]
+    return solution[:2].T, solution[2]
+
+
+def affine_error_px(distance_mm: float, axial_motion_mm: float, off_axis_px: float) -> float:
+    """Eq. 5: |dz / d0 (x - x0)|, the error of the affine camera; it should stay below 1 px."""
+    return abs(axial_motion_mm / distance_mm) * off_axis_px
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """False shift of each disc, with its derivatives."""
+
+    shift_px: FloatArray
+    """(n, 2)."""
+    by_motion: FloatArray
+    """(n, 2, 6)."""
+    by_model: FloatArray
+    """(n, 2, m) by the parameters of the rig (8) or of the paper's model (9)."""
+
+
+def predict_shift(model: Rig | PaperModel, reference_px: FloatArray, motion: Pose) -> Prediction:
+    """Predict how the rig's motion shifts the image of a target at rest (Eq. 17)."""
+    if isinstance(model, Rig):
+        moved, by_motion, by_rig = model.move_jacobians(reference_px, motion)
+        return Prediction(moved - reference_px, by_motion, by_rig)
+    n = len(reference_px)
+    by_motion, by_parameters = model.shift_jacobians(motion)
+    return Prediction(
+        np.tile(model.shift(motion), (n, 1)),
+        np.tile(by_motion, (n, 1, 1)),
+        np.tile(by_parameters, (n, 1, 1)),
+    )
+
+
+def rig_motion(setup: Setup, board: BoardPose) -> RigMotion:
+    """`T_CSj_CS1 = T_CSj_WS inv(T_CS1_WS)`, Eq. 12; the covariance is this frame's alone."""
+    motion = board.pose.compose(setup.reference_pose.inverse())
+    by_pose = motion_by_pose(motion, setup.reference_pose)
+    return RigMotion(motion.rotation_rad, motion.t_mm, by_pose @ board.covariance @ by_pose.T)
+
+
+@dataclass(frozen=True, slots=True)
+class Shift:
+    """The discs' common shift from their places in the reference."""
+
+    which: IntArray
+    """(k,) indices of the discs used."""
+    weights: FloatArray
+    """(k,) summing to 1."""
+    residual_px: float
+    """rms of the discs about their common shift."""
+
+
+def choose_discs(setup: Setup, discs: Discs) -> IntArray:
+    """Indices of the discs to use: seen in the reference too, the clean ones if three are.
+
+    Raises TargetNotFoundError if fewer than three are left.
+    """
+    common = discs.found & np.isfinite(setup.reference_discs_px).all(axis=1)
+    clean = common & (discs.clean > discs.clean.max() - _CLEAN_MARGIN)
+    chosen = clean if clean.sum() >= MIN_DISCS else common
+    if chosen.sum() < MIN_DISCS:
+        msg = f"main target: {int(chosen.sum())} of the reference's discs found, 3 are needed"
+        raise TargetNotFoundError(msg)
+    return np.nonzero(chosen)[0]
+
+
+def _common_shift(miss_px: FloatArray, which: IntArray) -> tuple[FloatArray, Shift]:
+    """Robust mean (2,) of the discs' shifts (k, 2)."""
+    middle = np.median(miss_px, axis=0)
+    away = np.hypot(*(miss_px - middle).T)
+    scale = max(float(np.median(away)), 0.01)
+    weights = robust_weights(away / scale)
+    weights = weights / weights.sum()
+    mean = weights @ miss_px
+    squares = ((miss_px - mean) ** 2).sum(axis=1) / 2.0
+    return mean, Shift(which, weights, float(np.sqrt(weights @ squares)))
+
+
+def raw_displacement(setup: Setup, discs: Discs) -> tuple[Displacement, Shift]:
+    """Displacement by the main camera alone: inv(B~) of the discs' common shift."""
+    which = choose_discs(setup, discs)
+    miss = discs.points_px[which] - setup.reference_discs_px[which]
+    mean, shift = _common_shift(miss, which)
+    to_mm = np.linalg.inv(setup.B)
+    covariance = to_mm @ _disc_covariance(discs, shift) @ to_mm.T
+    return Displacement(to_mm @ mean, covariance), shift
+
+
+def _disc_covariance(discs: Discs, shift: Shift) -> FloatArray:
+    """Covariance (2, 2) px^2 of the common shift: image noise here and in the reference."""
+    each = discs.covariance_px2[shift.which] + _DISC_FLOOR_PX**2 * np.eye(2)
+    predicted = 2.0 * np.einsum("k,kab->ab", shift.weights**2, each)
+    spread = shift.residual_px**2 / max(len(shift.which) - 1, 1)
+    return np.asarray(predicted + max(0.0, spread - np.trace(predicted) / 2.0) * np.eye(2))
+
+
+def corrected_displacement(
+    setup: Setup, discs: Discs, board: BoardPose, view: BoardView
+) -> tuple[Displacement, Shift]:
+    """Displacement with the false shift removed, Eq. 20: inv(B~) (u_j - u_false_j).
+
+    Its covariance comes from the discs, from this frame's pose, and from the calibration. Lens
+    and board act through this pose and the reference's, where they cancel for small motions.
+    """
+    which = choose_discs(setup, discs)
+    reference_px = setup.reference_discs_px[which]
+    motion = board.pose.compose(setup.reference_pose.inverse())
+    prediction = predict_shift(setup.model, reference_px, motion)
+    miss = discs.points_px[which] - reference_px - prediction.shift_px
+    mean, shift = _common_shift(miss, which)
+    by_motion = np.einsum("k,kab->ab", shift.weights, prediction.by_motion)
+    by_model = np.einsum("k,kab->ab", shift.weights, prediction.by_model)
+    by_pose = by_motion @ motion_by_pose(motion, setup.reference_pose)
+    by_reference = by_motion @ motion_by_reference(motion, setup.reference_pose)
+    root = view.whitening() * np.sqrt(board.weights)[:, None, None]
+    here, there = (
+        pose_sensitivity(setup.lens, pose, setup.corners_mm, setup.shape_terms, view, root)[0]
+        for pose in (board.pose, setup.reference_pose)
+    )
+    by_lens_shape = by_pose @ here + by_reference @ there
+    by_calibration = np.concatenate([by_lens_shape, by_model, by_reference], axis=1)
+    covariance_px = (
+        _disc_covariance(discs, shift)
+        + by_pose @ board.covariance @ by_pose.T
+        + by_calibration @ setup.covariance @ by_calibration.T
+    )
+    to_mm = np.linalg.inv(setup.B)
+    return Displacement(to_mm @ mean, to_mm @ covariance_px @ to_mm.T), shift

@@ -1,0 +1,157 @@
+"""The board's corners in an image: found without a guess, or refined from a predicted pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.board import Board
+from core.errors import TargetNotFoundError
+from core.frames import GreyImage
+from core.lattice import NamedLattice, join, name_on_board
+from core.lens import Lens
+from core.photometric import CornerFits, as_float, locate_corners
+from core.pose import Pose
+from core.resection import BoardView, resect
+from core.saddles import find_saddles
+from core.site import BoolArray, FloatArray, IntArray
+
+_FIRST_REACH_SQUARES = 0.3
+"""Small at first: without the lens, the edges are only straight near the corner."""
+_STENCIL_SQUARES = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class LocatedBoard:
+    """What an image shows of the board."""
+
+    view: BoardView
+    certain: bool
+    """False if the corners could also be others of the board (only part of it was seen)."""
+    visible: int
+    """Corners that should be in the image."""
+    noise_dn: float
+    contrast_dn: float
+    blur_px: float
+
+
+def detect_board(image: GreyImage, board: Board) -> LocatedBoard:
+    """Find the board without a guess and without a lens; it may be partly outside the image.
+
+    Raises TargetNotFoundError.
+    """
+    grey = as_float(image)
+    named = _find(grey, board, None)
+    maps = np.zeros((len(named.index), 2, 5))
+    maps[:, :, :2] = np.linalg.inv(named.steps_px)
+    fits = locate_corners(grey, image.saturation_dn, named.points_px, maps, _FIRST_REACH_SQUARES)
+    return _located(named.index, fits, certain=named.certain)
+
+
+def locate_board(
+    image: GreyImage,
+    lens: Lens,
+    board: Board,
+    corners_mm: FloatArray,
+    expected: Pose | None = None,
+) -> LocatedBoard:
+    """Find the board, then locate all its corners with the lens and the board known.
+
+    The expected pose `T_CS_WS` decides which corners are seen where the board's border does
+    not. Raises TargetNotFoundError.
+    """
+    grey = as_float(image)
+    expected_px = None if expected is None else lens.project(expected.apply(corners_mm))
+    named = _find(grey, board, expected_px)
+    rough = BoardView(
+        named.index, named.points_px, np.broadcast_to(0.05**2 * np.eye(2), (len(named.index), 2, 2))
+    )
+    pose = resect(lens, corners_mm, rough, expected).pose
+    return refine_board(image, lens, pose, board, corners_mm, certain=named.certain)
+
+
+def refine_board(
+    image: GreyImage,
+    lens: Lens,
+    pose: Pose,
+    board: Board,
+    corners_mm: FloatArray,
+    *,
+    certain: bool = True,
+) -> LocatedBoard:
+    """Locate all corners near where a predicted pose `T_CS_WS` puts them.
+
+    The prediction must be right to a third of a square. Raises TargetNotFoundError if no
+    corner should be in the image.
+    """
+    grey = as_float(image)
+    index, points, maps = predict_corners(lens, pose, board, corners_mm, grey.shape)
+    if len(index) == 0:
+        msg = "sub target: the predicted pose puts no corner into the image"
+        raise TargetNotFoundError(msg)
+    return _located(index, locate_corners(grey, image.saturation_dn, points, maps), certain=certain)
+
+
+def _find(grey: FloatArray, board: Board, expected_px: FloatArray | None) -> NamedLattice:
+    height, width = grey.shape
+    return name_on_board(join(find_saddles(grey)), board, width, height, expected_px)
+
+
+def _located(index: IntArray, fits: CornerFits, *, certain: bool) -> LocatedBoard:
+    usable = fits.usable & _alike(fits)
+    view = BoardView(index, fits.points_px, fits.covariance_px2).select(usable)
+    if not usable.any():
+        msg = "sub target: no corner is clear enough to measure"
+        raise TargetNotFoundError(msg)
+    return LocatedBoard(
+        view,
+        certain,
+        len(index),
+        float(np.median(fits.noise_dn[usable])),
+        float(np.median(fits.contrast_dn[usable])),
+        float(np.median(fits.blur_px[usable])),
+    )
+
+
+def _alike(fits: CornerFits) -> BoolArray:
+    """Corners whose contrast and residuals are like most others' (not under an insect)."""
+    if not fits.usable.any():
+        return fits.usable
+    noise = np.median(fits.noise_dn[fits.usable])
+    contrast = np.median(fits.contrast_dn[fits.usable])
+    return np.asarray(
+        (fits.noise_dn < 3.0 * noise)
+        & (fits.contrast_dn > 0.3 * contrast)
+        & (fits.contrast_dn > 3.0 * fits.noise_dn)
+        & (fits.blur_px < 5.9)
+    )
+
+
+def predict_corners(
+    lens: Lens, pose: Pose, board: Board, corners_mm: FloatArray, shape: tuple[int, ...]
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Corners that a pose puts into an image of shape (h, w).
+
+    Gives their index (n,), points (n, 2) px, and maps (n, 2, 5): board coordinates about the
+    corner in squares as polynomials (u, v, u^2, u v, v^2) of the pixel's offset, fitted to a
+    3 x 3 stencil of board points.
+    """
+    index = np.nonzero(pose.apply(corners_mm)[:, 2] > 0.1 * board.square_mm)[0]
+    points = lens.project(pose.apply(corners_mm[index]))
+    height, width = shape
+    margin = 2.0
+    inside = (points > margin).all(axis=1)
+    inside &= (points[:, 0] < width - 1 - margin) & (points[:, 1] < height - 1 - margin)
+    index, points = index[inside], points[inside]
+    steps = _STENCIL_SQUARES * np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    around = corners_mm[index][:, None, :] + np.concatenate(
+        [steps * board.square_mm, np.zeros((9, 1))], axis=1
+    )
+    pixels = lens.project(pose.apply(around.reshape(-1, 3))).reshape(-1, 9, 2)
+    offset = pixels - points[:, None, :]
+    u, v = offset[:, :, 0], offset[:, :, 1]
+    basis = np.stack([u, v, u * u, u * v, v * v], axis=2)
+    turned = basis.transpose(0, 2, 1)
+    maps = np.linalg.solve(turned @ basis, turned @ np.broadcast_to(steps, (len(index), 9, 2)))
+    return index, points, np.asarray(maps.transpose(0, 2, 1))

@@ -1,0 +1,130 @@
+"""What the calibration's motions determine, and how far a correction can be trusted in mm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.compensation import predict_shift
+from core.errors import NotObservableError
+from core.paper import PaperModel
+from core.pose import Pose
+from core.rig import Rig, motion_by_reference
+from core.setup import Setup
+from core.site import FloatArray, QualityLimits
+
+MIN_RIG_VIEWS = 4
+_MIN_TURN_RAD = 2e-4
+_MIN_RATIO = 0.05
+_AXES = (
+    "rotation about x",
+    "rotation about y",
+    "rotation about z",
+    "translation along x",
+    "translation along y",
+    "translation along z",
+)
+
+
+def require_motion(motions: Sequence[Pose]) -> None:
+    """Raise NotObservableError unless the rig was turned about two axes.
+
+    The main camera's scale and its roll about its own axis show only when the rig turns both
+    about x (tilt) and about y (pan) of the sub-camera.
+    """
+    if len(motions) < MIN_RIG_VIEWS:
+        msg = (
+            f"calibration: {len(motions)} usable rig positions, at least {MIN_RIG_VIEWS} are "
+            "needed; move the rig by pan and tilt and take more"
+        )
+        raise NotObservableError(msg)
+    turns = np.array([m.rotation_rad[:2] for m in motions])
+    spread, axes = np.linalg.svd(turns / np.sqrt(len(turns)), full_matrices=False)[1:]
+    if spread[0] < _MIN_TURN_RAD:
+        msg = (
+            f"calibration: the rig turned by only {spread[0] * 1e3:.3f} mrad rms about x (tilt) "
+            f"and y (pan); turn it by at least {_MIN_TURN_RAD * 1e3:.1f} mrad about both"
+        )
+        raise NotObservableError(msg)
+    if spread[1] < _MIN_RATIO * spread[0] or spread[1] < 0.25 * _MIN_TURN_RAD:
+        missing = (
+            "tilt (rotation about x)" if abs(axes[1, 0]) > 0.7071 else "pan (rotation about y)"
+        )
+        if min(abs(axes[1])) > 0.3827:
+            missing = "a turn across the one made (pan and tilt always moved together)"
+        msg = (
+            f"calibration: the motions do not determine the model; missing motion: {missing}; "
+            f"the rig turned {spread[0] * 1e3:.3f} mrad rms one way and "
+            f"{spread[1] * 1e3:.4f} mrad across it"
+        )
+        raise NotObservableError(msg)
+
+
+@dataclass(frozen=True, slots=True)
+class DriftError:
+    """Predicted 1-sigma error of a correction for one motion of the expected drift."""
+
+    motion: str
+    sigma_mm: float
+
+
+def drift_errors(setup: Setup, limits: QualityLimits) -> tuple[DriftError, ...]:
+    """Predicted calibration error (1 sigma, mm, the worse direction) of each drift motion."""
+    amounts = [limits.expected_drift_mrad * 1e-3] * 3 + [limits.expected_drift_mm] * 3
+    errors = []
+    for axis, (name, amount) in enumerate(zip(_AXES, amounts, strict=True)):
+        vector = np.zeros(6)
+        vector[axis] = amount
+        sigma = motion_sigma_mm(setup, Pose.from_vectors(vector[:3], vector[3:]))
+        errors.append(DriftError(name, sigma))
+    return tuple(errors)
+
+
+def motion_sigma_mm(setup: Setup, motion: Pose) -> float:
+    """1 sigma of a correction from the calibration alone, mm, the worse direction.
+
+    Model and reference are propagated; the lens and the board act on each frame's pose and are
+    part of a measurement's own sigma.
+    """
+    reference_px = setup.reference_discs_px[np.isfinite(setup.reference_discs_px).all(axis=1)]
+    prediction = predict_shift(setup.model, reference_px, motion)
+    still = predict_shift(setup.model, reference_px, Pose.identity())
+    by_model = (prediction.by_model - still.by_model).mean(axis=0)
+    # The reference enters every frame alike; what matters here is how its effect changes.
+    by_reference = prediction.by_motion.mean(axis=0) @ motion_by_reference(
+        motion, setup.reference_pose
+    ) - still.by_motion.mean(axis=0) @ motion_by_reference(Pose.identity(), setup.reference_pose)
+    n_model = by_model.shape[1]
+    start = len(setup.covariance) - n_model - 6
+    jacobian = np.concatenate([by_model, by_reference], axis=1)
+    covariance = jacobian @ setup.covariance[start:, start:] @ jacobian.T
+    to_mm = np.linalg.inv(setup.B)
+    return float(np.sqrt(np.linalg.eigvalsh(to_mm @ covariance @ to_mm.T).max()))
+
+
+def determined_share(setup: Setup, prior_sigma: FloatArray) -> FloatArray:
+    """(8,) how far the views, not the priors, determine each rig parameter: 1 - (post/prior)^2."""
+    start = 23
+    posterior = np.diag(setup.covariance)[start : start + len(prior_sigma)]
+    return np.asarray(np.clip(1.0 - posterior / prior_sigma**2, 0.0, 1.0))
+
+
+def model_sentence(model: Rig | PaperModel) -> str:
+    """One sentence on what the fit left open."""
+    if isinstance(model, Rig):
+        return (
+            f"main camera: {model.scale_px_per_mm:.4f} px/mm at {model.depth_mm:.0f} mm, "
+            f"turned against the sub-camera by {_angles(model)}"
+        )
+    return (
+        f"paper's nine parameters: {model.null_directions} of 9 directions are not determined by "
+        "the motions; corrections of other motions (translation, roll) can be wrong by millimetres"
+    )
+
+
+def _angles(rig: Rig) -> str:
+    from_back_to_back = rig.T_CM_CS.R @ np.diag([-1.0, 1.0, -1.0])
+    x, y, z = np.degrees(Pose(from_back_to_back, np.zeros(3)).rotation_rad)
+    return f"({x:+.3f}, {y:+.3f}, {z:+.3f}) deg from back to back"

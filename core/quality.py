@@ -1,0 +1,102 @@
+"""The verdict on a measurement: a flag, and reasons from the closed list."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from core.compensation import Shift, affine_error_px
+from core.corners import LocatedBoard
+from core.discs import Discs
+from core.frames import GreyImage
+from core.paper import PaperModel
+from core.resection import BoardPose
+from core.results import Displacement, Flag, Reason, RigMotion
+from core.setup import Setup
+from core.site import FloatArray, Site
+
+_DARK_SHARE = 0.08
+_SATURATED_SHARE = 0.3
+_HIDDEN_SHARE = 0.005
+_FITS = 0.1  # weight of a corner five standard deviations off
+_CLEAN = 0.95
+_BLUR_FACTOR = 2.0
+_RESIDUAL_FACTOR = 3.0
+_MAIN_RESIDUAL_PX = 0.05
+_RANGE_FACTOR = 4.0
+_MISSING = {Reason.MAIN_IMAGE_MISSING, Reason.SUB_IMAGE_MISSING}
+
+
+def too_dark(image: GreyImage) -> bool:
+    """Whether even the bright parts of an image are near black."""
+    bright = float(np.percentile(image.pixels[::4, ::4], 99.0))
+    return bright < _DARK_SHARE * image.saturation_dn
+
+
+def overexposed(image: GreyImage) -> bool:
+    """Whether a large part of an image is saturated."""
+    share = float((image.pixels[::4, ::4] >= image.saturation_dn).mean())
+    return share > _SATURATED_SHARE
+
+
+def judge_main(setup: Setup, discs: Discs, shift: Shift) -> list[Reason]:
+    """What is doubtful about the main target."""
+    reasons = []
+    wanted = np.isfinite(setup.reference_discs_px).all(axis=1)
+    if (discs.clean[wanted] < _CLEAN).any() or not discs.found[wanted].all():
+        reasons.append(Reason.MAIN_TARGET_PARTLY_HIDDEN)
+    if shift.residual_px > _MAIN_RESIDUAL_PX:
+        reasons.append(Reason.MAIN_TARGET_DISTURBED)
+    if discs.blur_px > _BLUR_FACTOR * max(setup.levels.main_blur_px, 1.0):
+        reasons.append(Reason.BLURRED)
+    return reasons
+
+
+def judge_sub(setup: Setup, located: LocatedBoard, board: BoardPose) -> list[Reason]:
+    """What is doubtful about the sub target."""
+    reasons = []
+    used = float((board.weights > _FITS).sum())
+    if not located.certain:
+        reasons.append(Reason.SUB_TARGET_UNCERTAIN)
+    if used < (1.0 - _HIDDEN_SHARE) * located.visible:
+        reasons.append(Reason.SUB_TARGET_PARTLY_HIDDEN)
+    if board.rms_px > _RESIDUAL_FACTOR * max(setup.levels.sub_rms_px, 0.002) * _noisier(
+        setup, located
+    ):
+        reasons.append(Reason.SUB_TARGET_DISTURBED)
+    if located.blur_px > _BLUR_FACTOR * max(setup.levels.sub_blur_px, 0.8):
+        reasons.append(Reason.BLURRED)
+    return reasons
+
+
+def _noisier(setup: Setup, located: LocatedBoard) -> float:
+    """How much larger residuals may be because the contrast is lower than at calibration."""
+    return max(1.0, setup.levels.sub_contrast_dn / max(located.contrast_dn, 1.0))
+
+
+def judge_motion(setup: Setup, motion: RigMotion, site: Site) -> list[Reason]:
+    """Whether the rig moved further than the calibration and the expected drift cover."""
+    turn = max(setup.levels.max_rotation_rad, site.quality.expected_drift_mrad * 1e-3)
+    slide = max(setup.levels.max_translation_mm, site.quality.expected_drift_mm)
+    far = float(np.linalg.norm(motion.rotation_rad)) > _RANGE_FACTOR * turn
+    far |= float(np.linalg.norm(motion.translation_mm)) > _RANGE_FACTOR * slide
+    reasons = [Reason.MOTION_OUT_OF_RANGE] if far else []
+    if isinstance(setup.model, PaperModel):
+        centre = np.array([0.5 * (site.main.width_px - 1), 0.5 * (site.main.height_px - 1)])
+        off_axis = float(np.nanmax(np.abs(setup.reference_discs_px - centre)))
+        distance, axial = site.main_target.distance_mm, float(motion.translation_mm[2])
+        if affine_error_px(distance, axial, off_axis) > 1.0:
+            reasons.append(Reason.AFFINE_INVALID)
+    return reasons
+
+
+def judge_value(corrected: Displacement, site: Site) -> list[Reason]:
+    """Whether the value is too uncertain."""
+    sigma: FloatArray = np.sqrt(np.diag(corrected.covariance_mm2))
+    return [Reason.SIGMA_TOO_LARGE] if float(sigma.max()) > site.quality.max_sigma_mm else []
+
+
+def flag_of(reasons: tuple[Reason, ...], *, has_value: bool) -> Flag:
+    """Good without a reason, suspect with a value, missing or bad without one."""
+    if has_value:
+        return Flag.SUSPECT if reasons else Flag.GOOD
+    return Flag.MISSING if _MISSING.intersection(reasons) else Flag.BAD
