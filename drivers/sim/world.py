@@ -17,6 +17,8 @@ from drivers.sim.motion import TrueMotion
 from drivers.sim.render import CameraRenderer, Look
 from drivers.sim.settings import Scenario, ScenarioKind, SimSettings
 
+ROLES: tuple[Role, Role] = ("main", "sub")
+
 PLATE_MARGIN = 1.75
 """Black plate beyond the outermost disc centres, in disc diameters."""
 
@@ -67,6 +69,8 @@ class World:
         margin = PLATE_MARGIN * float(target.diameters_mm.max())
         low, high = target.centres_mm.min(axis=0), target.centres_mm.max(axis=0)
         self._plate = np.concatenate([low - margin, high + margin])
+        for role in ROLES:  # compiles the kernels here, not within a camera's deadline
+            self.render(role, settings.start_utc)
 
     # ------------------------------------------------------------------ what moves the rig
 
