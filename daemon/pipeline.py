@@ -75,7 +75,7 @@ def run_slot(
     A `MeasurementRecord` is on the disk and has been acknowledged. A `Missed` slot has no row; to
     put it into a gap is the caller's part.
     """
-    started_s = line.clock.monotonic_s()
+    began_utc, started_s = line.clock.now_utc(), line.clock.monotonic_s()
     try:
         pair = source.capture(slot_utc)
     except DriverError as error:
@@ -83,7 +83,7 @@ def run_slot(
     except Exception as error:  # noqa: BLE001 - a driver's fault costs this slot, not the daemon
         _log.exception("capture_broke", slot=slot_text(slot_utc))
         return _missed(slot_utc, GapCause.CAPTURE_FAILED, f"{type(error).__name__}: {error}")
-    captured_utc = _captured_utc(line.clock, pair)
+    captured_utc = max(began_utc, _captured_utc(line.clock, pair))
     stored = _keep_frames(line, slot_utc, pair, captured_utc)
     try:
         record = _measure_captured(line, slot_utc, pair, stored, captured_utc)
@@ -271,6 +271,9 @@ def _bad(*reasons: Reason) -> Measurement:
 
 
 def _captured_utc(clock: Clock, pair: CapturedPair) -> datetime:
-    """When the main camera was triggered: camera clocks do not know the time of day."""
+    """When the main camera was triggered: cameras do not know the time of day.
+
+    A replayed pair was triggered at no time of this clock; its capture's beginning counts.
+    """
     ago_s = clock.monotonic_s() - pair.main.trigger_monotonic_s
     return clock.now_utc() - timedelta(seconds=ago_s)
