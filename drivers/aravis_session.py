@@ -193,18 +193,23 @@ class Session:
     def _is_new(self, buffer: Any) -> bool:
         """Whether frame counter and camera time went on since the last frame seen."""
         frame_id, time_ns = buffer.get_frame_id(), buffer.get_timestamp()
-        repeated = frame_id == self._last_id or 0 < time_ns <= self._last_time_ns
-        self._last_id, self._last_time_ns = frame_id, time_ns
+        repeated = frame_id == self._last_id
+        self._last_id = frame_id
+        if self._is_complete(buffer):  # a torn frame may carry the time of its buffer's last one
+            repeated |= 0 < time_ns <= self._last_time_ns
+            self._last_time_ns = time_ns
         if repeated:
             _log.warning("stale_frame_refused", serial=self._serial, frame_id=frame_id)
         return not repeated
 
+    def _is_complete(self, buffer: Any) -> bool:
+        return bool(buffer.get_status() == self._aravis.BufferStatus.SUCCESS)
+
     def _frame(self, buffer: Any) -> CapturedFrame:
-        status = buffer.get_status()
-        if status != self._aravis.BufferStatus.SUCCESS:
+        if not self._is_complete(buffer):
             msg = (
                 f"camera {self._serial}: frame {buffer.get_frame_id()} is incomplete"
-                f" ({status.value_nick}); check cable and switch, packet size, and that"
+                f" ({buffer.get_status().value_nick}); check cable, switch, packet size, and that"
                 " net.core.rmem_max exceeds four frames"
             )
             raise IncompleteFrameError(msg)
