@@ -187,7 +187,7 @@ def render_discs(
     discs (n, 3): x, y, radius in WM, mm. plate: x0, y0, x1, y1. greys: white, black, background.
     """
     height, width = out.shape
-    reach = np.abs(pattern).max()
+    reach = math.sqrt((pattern * pattern).sum(axis=1).max())
     flat = np.zeros(5)
     rows = np.empty((3, width + 2, 2))
     above, here, below = rows[0], rows[1], rows[2]
@@ -202,40 +202,30 @@ def render_discs(
                 0.5 * (below[u + 1, 0] - above[u + 1, 0]),
                 0.5 * (below[u + 1, 1] - above[u + 1, 1]),
             )
-            margin = reach * (abs(xu) + abs(yu) + abs(xv) + abs(yv))
+            margin = reach * math.sqrt(xu * xu + yu * yu + xv * xv + yv * yv)
             clear = max(plate[0] - x, x - plate[2], plate[1] - y, y - plate[3])
             if clear > margin:
                 out[v, u] = greys[2]
                 continue
-            near = abs(clear) <= margin
-            inside = False
+            disc, gap = 0, np.inf  # the nearest disc, and how far its edge is
             for d in range(len(discs)):
                 dx, dy = x - discs[d, 0], y - discs[d, 1]
-                gap = math.sqrt(dx * dx + dy * dy) - discs[d, 2]
-                near |= abs(gap) <= margin
-                inside |= gap < 0.0
-            if not near:
-                out[v, u] = greys[0] if inside else greys[1]
+                away = math.sqrt(dx * dx + dy * dy) - discs[d, 2]
+                if away < gap:
+                    disc, gap = d, away
+            if abs(clear) > margin and abs(gap) > margin:
+                out[v, u] = greys[0] if gap < 0.0 else greys[1]
                 continue
             total = 0.0
             for n in range(len(pattern)):
                 du, dv = pattern[n, 0], pattern[n, 1]
-                total += _disc_grey(
-                    x + xu * du + xv * dv, y + yu * du + yv * dv, discs, plate, greys
-                )
+                dx, dy = x + xu * du + xv * dv, y + yu * du + yv * dv
+                if dx < plate[0] or dx > plate[2] or dy < plate[1] or dy > plate[3]:
+                    total += greys[2]
+                    continue
+                dx -= discs[disc, 0]
+                dy -= discs[disc, 1]
+                inside = dx * dx + dy * dy < discs[disc, 2] * discs[disc, 2]
+                total += greys[0] if inside else greys[1]
             out[v, u] = total / len(pattern)
         above, here, below = here, below, above
-
-
-@njit(cache=True, nogil=True)
-def _disc_grey(
-    x: float, y: float, discs: FloatArray, plate: FloatArray, greys: FloatArray
-) -> float:  # pragma: no cover - compiled
-    """Reflectance at one point of the main target's plane."""
-    if x < plate[0] or x > plate[2] or y < plate[1] or y > plate[3]:
-        return greys[2]  # type: ignore[no-any-return]
-    for d in range(len(discs)):
-        dx, dy = x - discs[d, 0], y - discs[d, 1]
-        if dx * dx + dy * dy < discs[d, 2] * discs[d, 2]:
-            return greys[0]  # type: ignore[no-any-return]
-    return greys[1]  # type: ignore[no-any-return]
