@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TextIO
 
 from core.results import Measurement
-from daemon.store.convert import measurement_row
+from daemon.store.convert import measurement_columns
 from daemon.store.durable import fsync_directory, temporary_name
 from daemon.store.records import MeasurementRecord
 from daemon.store.schema import MeasurementRow, instant_text, slot_text
@@ -86,8 +86,8 @@ def _write(records: Iterable[MeasurementRecord], columns: tuple[str, ...], outpu
     table.writerow(columns)
     count = 0
     for record in records:
-        row = measurement_row(record)
-        table.writerow([_cell(name, getattr(row, name)) for name in columns])
+        row = measurement_columns(record)
+        table.writerow([_cell(name, row.get(name)) for name in columns])
         count += 1
     return count
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, fields
+import math
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -15,42 +16,53 @@ from daemon.store.records import CalibrationRecord, CameraState, MeasurementReco
 from daemon.store.schema import CalibrationRow, MeasurementRow
 
 _UPPER = np.triu_indices(6)
+_DIAGNOSTICS = tuple(field.name for field in fields(Diagnostics))
+_MOTION = ("rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm")
+_CAMERA = tuple(field.name for field in fields(CameraState))
 
 
 def measurement_row(record: MeasurementRecord) -> MeasurementRow:
-    """The row of a record."""
+    """The row of a record. Raises ValueError for a value or covariance that is not finite."""
+    return MeasurementRow(**measurement_columns(record))
+
+
+def measurement_columns(record: MeasurementRecord) -> dict[str, Any]:
+    """The columns of a record's row; those that it has no value for are left out.
+
+    Raises ValueError for a value or covariance that is not finite.
+    """
     measurement = record.measurement
-    return MeasurementRow(
-        slot_utc=record.slot_utc,
-        flag=int(measurement.flag),
-        reasons=join_reasons(measurement.reasons),
+    diagnostics = measurement.diagnostics
+    return {
+        "slot_utc": record.slot_utc,
+        "flag": int(measurement.flag),
+        "reasons": join_reasons(measurement.reasons),
         **_displacement_columns(measurement.corrected, ""),
         **_displacement_columns(measurement.raw, "raw_"),
         **_motion_columns(measurement.motion),
-        **asdict(measurement.diagnostics),
+        **{name: getattr(diagnostics, name) for name in _DIAGNOSTICS},
         **_camera_columns(record.main_camera, "main_"),
         **_camera_columns(record.sub_camera, "sub_"),
-        skew_s=record.skew_s,
-        main_frame=record.main_frame,
-        sub_frame=record.sub_frame,
-        captured_utc=record.captured_utc,
-        recorded_late=record.recorded_late,
-        calibration_id=record.calibration_id,
-        config_hash=record.config_hash,
-        version=record.version,
-    )
+        "skew_s": record.skew_s,
+        "main_frame": record.main_frame,
+        "sub_frame": record.sub_frame,
+        "captured_utc": record.captured_utc,
+        "recorded_late": record.recorded_late,
+        "calibration_id": record.calibration_id,
+        "config_hash": record.config_hash,
+        "version": record.version,
+    }
 
 
 def measurement_record(row: MeasurementRow) -> MeasurementRecord:
     """The record of a row."""
-    diagnostics = Diagnostics(**{f.name: getattr(row, f.name) for f in fields(Diagnostics)})
     measurement = Measurement(
         flag=Flag(row.flag),
         reasons=tuple(Reason(word) for word in row.reasons.split("+") if word),
         corrected=_displacement(row, ""),
         raw=_displacement(row, "raw_"),
         motion=_motion(row),
-        diagnostics=diagnostics,
+        diagnostics=Diagnostics(**{name: getattr(row, name) for name in _DIAGNOSTICS}),
     )
     return MeasurementRecord(
         slot_utc=row.slot_utc,
@@ -112,13 +124,14 @@ def _displacement_columns(displacement: Displacement | None, prefix: str) -> dic
     if displacement is None:
         return {}
     covariance = displacement.covariance_mm2
-    return {
+    columns = {
         f"{prefix}x_mm": float(displacement.mm[0]),
         f"{prefix}y_mm": float(displacement.mm[1]),
-        f"{prefix}sigma_x_mm": float(np.sqrt(covariance[0, 0])),
-        f"{prefix}sigma_y_mm": float(np.sqrt(covariance[1, 1])),
+        f"{prefix}sigma_x_mm": math.sqrt(covariance[0, 0]),
+        f"{prefix}sigma_y_mm": math.sqrt(covariance[1, 1]),
         f"{prefix}cov_xy_mm2": float(covariance[0, 1]),
     }
+    return _finite(columns)
 
 
 def _displacement(row: MeasurementRow, prefix: str) -> Displacement | None:
@@ -133,18 +146,18 @@ def _displacement(row: MeasurementRow, prefix: str) -> Displacement | None:
 def _motion_columns(motion: RigMotion | None) -> dict[str, Any]:
     if motion is None:
         return {}
-    rx, ry, rz = (float(value) for value in motion.rotation_rad)
-    tx, ty, tz = (float(value) for value in motion.translation_mm)
-    upper = [float(value) for value in motion.covariance[_UPPER]]
-    return {
-        "rx_rad": rx,
-        "ry_rad": ry,
-        "rz_rad": rz,
-        "tx_mm": tx,
-        "ty_mm": ty,
-        "tz_mm": tz,
-        "motion_covariance": _json(upper),
-    }
+    numbers = [*motion.rotation_rad.tolist(), *motion.translation_mm.tolist()]
+    columns = _finite(dict(zip(_MOTION, numbers, strict=True)))
+    return {**columns, "motion_covariance": _json(motion.covariance[_UPPER].tolist())}
+
+
+def _finite(columns: dict[str, float]) -> dict[str, float]:
+    """Pass numbers on. SQLite would make NULL of a NaN, and a value would look withheld."""
+    for name, value in columns.items():
+        if not math.isfinite(value):
+            msg = f"{name} is {value}"
+            raise ValueError(msg)
+    return columns
 
 
 def _motion(row: MeasurementRow) -> RigMotion | None:
@@ -161,8 +174,8 @@ def _motion(row: MeasurementRow) -> RigMotion | None:
 
 
 def _camera_columns(camera: CameraState, prefix: str) -> dict[str, float | None]:
-    return {prefix + name: value for name, value in asdict(camera).items()}
+    return {prefix + name: getattr(camera, name) for name in _CAMERA}
 
 
 def _camera(row: MeasurementRow, prefix: str) -> CameraState:
-    return CameraState(**{f.name: getattr(row, prefix + f.name) for f in fields(CameraState)})
+    return CameraState(**{name: getattr(row, prefix + name) for name in _CAMERA})

@@ -136,14 +136,20 @@ class Store:
     def add_measurement(self, record: MeasurementRecord) -> None:
         """Write one slot's row; a gap that holds the slot shrinks or splits around it.
 
-        Raises SlotTakenError when the slot has a row already.
+        Raises SlotTakenError when the slot has a row already, StoreError for a measurement that
+        is not finite.
         """
+        try:
+            row = measurement_row(record)
+        except ValueError as error:
+            msg = f"{self.path}: slot {slot_text(record.slot_utc)} cannot be stored: {error}"
+            raise StoreError(msg) from error
         with self._write() as session:
             if self._row(session, record.slot_utc) is not None:
                 msg = f"{self.path}: slot {slot_text(record.slot_utc)} has a row already"
                 raise SlotTakenError(msg)
             gap_runs.release(session, record.slot_utc)
-            session.add(measurement_row(record))
+            session.add(row)
 
     def measurement(self, slot_utc: datetime) -> MeasurementRecord | None:
         """The row of a slot."""

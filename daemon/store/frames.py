@@ -94,11 +94,17 @@ class FrameArchive:
         """
         stored = self._place(slot_utc)
         main, sub = self.state / stored.main_path, self.state / stored.sub_path
-        known = find(main.parent, slot_utc) or {}
+        try:
+            known = find(main.parent, slot_utc) or {}
+            main_image = _verified(main, known.get("sha256_main"))
+            sub_image = _verified(sub, known.get("sha256_sub"))
+        except OSError as error:
+            msg = f"{error.filename or main}: cannot be read ({error.strerror}); check the disk"
+            raise FrameSetError(msg) from error
         return ArchivedPair(
             stored=stored,
-            main=_verified(main, known.get("sha256_main")),
-            sub=_verified(sub, known.get("sha256_sub")),
+            main=main_image,
+            sub=sub_image,
             skew_s=_number(known.get("skew_s")),
             captured_utc=_moment(known.get("captured_utc")),
             main_camera=_camera(known, "main"),
@@ -106,8 +112,12 @@ class FrameArchive:
         )
 
     def stored_slots(self, since: datetime = EPOCH) -> list[datetime]:
-        """The slots of which both images are there, from `since` on, in order."""
-        return [slot for day in self._days(since) for slot in pairs(day) if slot >= since]
+        """The slots of which both images are there, from `since` on, in order.
+
+        Raises ArchiveError.
+        """
+        with _translated(self.directory):
+            return [slot for day in self._days(since) for slot in pairs(day) if slot >= since]
 
     def orphans(self, known_slots: Collection[datetime], since: datetime = EPOCH) -> list[datetime]:
         """Stored slots that are not among the known ones: pairs still to be measured, in order."""

@@ -74,13 +74,25 @@ def migrate(engine: Engine, path: Path, now_utc: datetime) -> Path | None:
     if found is not None:
         saved = _backup_name(path, found, now_utc)
         backup(path, saved)
+    try:
+        with translated(path):
+            _upgrade(engine)
+    except BaseException:
+        if saved is not None:  # nothing has changed; copies must not pile up with every restart
+            saved.unlink()
+        raise
+    return saved
+
+
+def _upgrade(engine: Engine) -> None:
+    """Upgrade in a transaction that holds the write lock from its start.
+
+    The revision is read again inside it, so that of two processes only one upgrades.
+    """
     config = alembic_config()
-    # The revision is read again inside the transaction, so that two processes cannot both upgrade.
-    immediate = engine.execution_options(dcam_begin="IMMEDIATE")
-    with translated(path), immediate.begin() as connection:
+    with engine.execution_options(dcam_begin="IMMEDIATE").begin() as connection:
         config.attributes["connection"] = connection
         command.upgrade(config, "head")
-    return saved
 
 
 def _require_known(found: str | None, path: Path) -> None:

@@ -198,6 +198,16 @@ def test_a_damaged_image_is_an_error_and_not_a_picture(
     assert np.array_equal(archive.load(slot(0)).main.pixels, pair(0).main.pixels)
 
 
+def test_a_table_that_cannot_be_read_is_an_error_of_the_pair(
+    archive: FrameArchive, tmp_path: Path
+) -> None:
+    archive.store(slot(0), pair(0))
+    (tmp_path / DAY / "frames.csv").unlink()
+    (tmp_path / DAY / "frames.csv").mkdir()
+    with pytest.raises(FrameSetError, match=r"frames\.csv: cannot be read"):
+        archive.load(slot(0))
+
+
 def test_a_damaged_cell_does_not_cost_the_pair(archive: FrameArchive, tmp_path: Path) -> None:
     archive.store(slot(0), pair(0), START)
     table = tmp_path / DAY / "frames.csv"

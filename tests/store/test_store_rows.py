@@ -12,11 +12,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.results import Displacement, Flag, Measurement
+from core.results import Flag
 from daemon.store import database, engine
 from daemon.store.database import Store, open_store, open_store_readonly
 from daemon.store.errors import DatabaseBusyError, SlotTakenError, StoreError
-from tests.store.examples import BAD, START, calibration, full_record, record, slot
+from tests.store.examples import (
+    BAD,
+    START,
+    calibration,
+    full_measurement,
+    full_record,
+    record,
+    slot,
+)
 
 
 @pytest.fixture
@@ -77,12 +85,30 @@ def test_a_slot_is_a_whole_second_in_a_zone(store: Store) -> None:
     assert store.last_slot() is None
 
 
-def test_a_good_row_must_have_a_value(store: Store) -> None:
-    with pytest.raises(StoreError, match="measurement_value"):
-        store.add_measurement(record(slot(0), replace(BAD, flag=Flag.GOOD)))
-    nothing = Displacement(np.array([np.nan, np.nan]), np.eye(2))
-    with pytest.raises(StoreError, match="measurement_value"):
-        store.add_measurement(record(slot(0), Measurement(Flag.GOOD, (), nothing, None, None)))
+def test_a_good_row_must_have_a_value_and_a_bad_one_none(store: Store) -> None:
+    for measurement in (
+        replace(BAD, flag=Flag.GOOD),
+        replace(full_measurement(), flag=Flag.BAD),
+    ):
+        with pytest.raises(StoreError, match="measurement_value"):
+            store.add_measurement(record(slot(0), measurement))
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_what_is_no_number_is_refused_and_not_made_null(store: Store, number: float) -> None:
+    good = full_measurement()
+    assert good.raw is not None
+    assert good.motion is not None
+    for measurement in (
+        replace(good, corrected=replace(good.raw, mm=np.full(2, number))),
+        replace(good, corrected=replace(good.raw, covariance_mm2=np.full((2, 2), number))),
+        replace(good, raw=replace(good.raw, mm=np.full(2, number))),
+        replace(good, motion=replace(good.motion, rotation_rad=np.full(3, number))),
+        replace(good, motion=replace(good.motion, covariance=np.full((6, 6), number))),
+    ):
+        with pytest.raises(StoreError, match="slot 2026-03-01T00:00:00Z cannot be stored"):
+            store.add_measurement(record(slot(0), measurement))
+    assert store.last_slot() is None
 
 
 def test_a_row_names_a_calibration_that_exists(store: Store) -> None:
