@@ -9,8 +9,6 @@ class StoreError(Exception):
     """The database could not do what was asked; nothing of the request was written."""
 
     exit_code: ClassVar[int] = 5
-    retry: ClassVar[bool] = False
-    """Whether the same request may succeed a little later without anyone's hands."""
 
 
 class DatabaseMissingError(StoreError):
@@ -32,26 +30,19 @@ class DatabaseDamagedError(StoreError):
 class DatabaseBusyError(StoreError):
     """Another process held the write lock for longer than the busy time-out."""
 
-    retry = True
-
 
 class DatabaseUnwritableError(StoreError):
     """The disk is read-only or failing, or the file may not be written."""
 
-    retry = True
-
 
 class DiskFullError(StoreError):
     """There is no space left for a row or a frame."""
-
-    retry = True
 
 
 class ArchiveError(StoreError):
     """A frame could not be written to the archive, for another reason than space."""
 
     exit_code = 4
-    retry = True
 
 
 class SlotTakenError(StoreError):
