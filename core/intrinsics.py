@@ -31,8 +31,7 @@ def lens_prior(camera: CameraGeometry, *, skew: bool = False) -> FloatArray:
 
 def nominal_lens(camera: CameraGeometry) -> Lens:
     """Give the lens as drawn: no distortion, the principal point in the middle."""
-    middle = (0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1))
-    return Lens.pinhole(camera.focal_px, middle)
+    return Lens.pinhole(camera.focal_px, (camera.centre_px[0], camera.centre_px[1]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -93,9 +93,8 @@ def _see_main(
     except ImageError:
         return None, [Reason.MAIN_IMAGE_UNREADABLE]
     reasons = [Reason.OVEREXPOSED] if overexposed(image) else []
-    scale = site.main.focal_px / site.main_target.distance_mm
     try:
-        discs = find_discs(image, site.main_target, scale)
+        discs = find_discs(image, site.main_target, site.nominal_px_per_mm)
         raw, shift = raw_displacement(setup, discs)
     except TargetNotFoundError:
         dark = [Reason.TOO_DARK] if too_dark(image) else []

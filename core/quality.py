@@ -81,8 +81,7 @@ def judge_motion(setup: Setup, motion: RigMotion, site: Site) -> list[Reason]:
     far |= float(np.linalg.norm(motion.translation_mm)) > _RANGE_FACTOR * slide
     reasons = [Reason.MOTION_OUT_OF_RANGE] if far else []
     if isinstance(setup.model, PaperModel):
-        centre = np.array([0.5 * (site.main.width_px - 1), 0.5 * (site.main.height_px - 1)])
-        off_axis = float(np.nanmax(np.abs(setup.reference_discs_px - centre)))
+        off_axis = float(np.nanmax(np.abs(setup.reference_discs_px - site.main.centre_px)))
         distance, axial = site.main_target.distance_mm, float(motion.translation_mm[2])
         if affine_error_px(distance, axial, off_axis) > 1.0:
             reasons.append(Reason.AFFINE_INVALID)

@@ -75,7 +75,7 @@ def _refine_peaks(strength: FloatArray, peaks: IntArray) -> FloatArray:
     ):
         curvature = np.minimum(before + after - 2.0 * centre, -1e-9)
         steps.append(np.clip(0.5 * (before - after) / curvature, -0.5, 0.5))
-    return peaks + np.stack(steps, axis=1)
+    return np.asarray(peaks + np.stack(steps, axis=1), dtype=float)
 
 
 def _check_rings(smooth: FloatArray, points: FloatArray, ring_px: float) -> Saddles:

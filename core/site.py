@@ -27,6 +27,11 @@ class CameraGeometry:
         """Nominal focal length in pixels, f / pitch."""
         return self.focal_length_mm * 1000.0 / self.pixel_pitch_um
 
+    @property
+    def centre_px(self) -> FloatArray:
+        """(2,) the middle of the image."""
+        return np.array([0.5 * (self.width_px - 1), 0.5 * (self.height_px - 1)])
+
 
 @dataclass(frozen=True, slots=True)
 class CirclesTarget:
@@ -84,3 +89,8 @@ class Site:
     sub_target: CheckerboardTarget
     rig: RigPrior
     quality: QualityLimits
+
+    @property
+    def nominal_px_per_mm(self) -> float:
+        """The main camera's scale at its target by the lens's nominal focal length."""
+        return self.main.focal_px / self.main_target.distance_mm

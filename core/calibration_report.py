@@ -1,0 +1,152 @@
+"""What a calibration is worth, in sentences and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from core.compensation import affine_error_px
+from core.dual import Fit, Recipe, main_misses_px, rig_prior
+from core.observability import DriftError, determined_share, drift_errors, model_sentence
+from core.paper import PaperModel
+from core.rig import Rig
+from core.setup import Setup
+from core.site import FloatArray
+from core.views import Rejected
+
+_FEW_LENS_VIEWS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationReport:
+    """What an engineer needs to decide whether to trust a calibration."""
+
+    passed: bool
+    lines: tuple[str, ...]
+    """Plain sentences, the verdict first."""
+    figures: dict[str, Any]
+    """The numbers behind them, plain JSON types."""
+
+
+def write_report(
+    fit: Fit,
+    setup: Setup,
+    recipe: Recipe,
+    rejected: Sequence[Rejected],
+    held_out: FloatArray,
+) -> CalibrationReport:
+    """Judge a calibration. held_out (n, 2) are the errors in mm at held-out positions."""
+    drift = drift_errors(setup, recipe.site.quality)
+    problems = _problems(setup, recipe, drift, held_out)
+    figures = _figures(fit, setup, recipe, drift, held_out)
+    figures["rejected"] = [{"view": name, "reason": reason} for name, reason in rejected]
+    figures["problems"] = problems
+    views = fit.views
+    lines = [
+        "calibration passed" if not problems else "calibration NOT passed: " + "; ".join(problems),
+        (
+            f"views used: {len(views.lens)} lens, 1 reference, {len(views.rig)} rig; "
+            f"rejected: {len(rejected)}"
+        ),
+        *(f"rejected {name}: {reason}" for name, reason in rejected),
+        (
+            f"corners fit to {figures['sub_rms_px']:.4f} px rms, main discs to "
+            f"{figures['main_rms_px']:.4f} px rms"
+        ),
+        model_sentence(setup.model),
+        "expected error after correction (1 sigma, from the calibration alone): "
+        + ", ".join(f"{d.motion} {d.sigma_mm:.3f} mm" for d in drift),
+    ]
+    if len(held_out):
+        lines.append(
+            f"validated on {len(held_out)} held-out positions: {_rms(held_out):.4f} mm rms, "
+            f"{float(np.hypot(*held_out.T).max()):.4f} mm at most"
+        )
+    lines += _warnings(fit, figures)
+    return CalibrationReport(not problems, tuple(lines), figures)
+
+
+def _rms(errors: FloatArray) -> float:
+    return float(np.sqrt((errors**2).sum(axis=1).mean()))
+
+
+def _problems(
+    setup: Setup, recipe: Recipe, drift: Sequence[DriftError], held_out: FloatArray
+) -> list[str]:
+    """Why the calibration should not be used; empty if it may."""
+    limit = recipe.site.quality.max_sigma_mm
+    worst = max(drift, key=lambda d: d.sigma_mm)
+    problems = []
+    if worst.sigma_mm > limit:
+        problems.append(
+            f"a {worst.motion} of the expected drift would be corrected to {worst.sigma_mm:.3f} mm "
+            f"(1 sigma) only, the limit is {limit:g} mm"
+        )
+    if len(held_out) and _rms(held_out) > limit:
+        problems.append(f"held-out positions are wrong by {_rms(held_out):.3f} mm rms")
+    if isinstance(setup.model, PaperModel) and setup.model.null_directions:
+        problems.append(
+            f"{setup.model.null_directions} of the paper's nine parameters are not determined by "
+            "the motions; use --method rigid"
+        )
+    return problems
+
+
+def _warnings(fit: Fit, figures: dict[str, Any]) -> list[str]:
+    warnings = []
+    if len(fit.views.lens) < _FEW_LENS_VIEWS:
+        warnings.append(
+            f"warning: {len(fit.views.lens)} lens views; take 12 or more, the board in the hand"
+        )
+    if not fit.views.reference.board.certain:
+        warnings.append(
+            "warning: which part of the board the reference shows is not certain; let at least "
+            "one border of the board into the sub image in each direction"
+        )
+    if figures["affine_error_px"] > 1.0:
+        warnings.append(
+            f"warning: Eq. 5 fails ({figures['affine_error_px']:.1f} px for the expected drift); "
+            "the paper's affine camera does not hold here, the rigid method does not need it"
+        )
+    return warnings
+
+
+def _figures(
+    fit: Fit, setup: Setup, recipe: Recipe, drift: Sequence[DriftError], held_out: FloatArray
+) -> dict[str, Any]:
+    reference = fit.views.reference.discs
+    misses = [
+        main_misses_px(setup.model, view.discs, reference, motion)
+        for view, motion in zip(fit.views.rig, fit.motions, strict=True)
+    ]
+    site = recipe.site
+    off_axis = float(np.nanmax(np.abs(setup.reference_discs_px - site.main.centre_px)))
+    figures: dict[str, Any] = {
+        "method": recipe.method.value,
+        "sub_rms_px": setup.levels.sub_rms_px,
+        "main_rms_px": float(np.sqrt(np.mean(np.concatenate(misses) ** 2))),
+        "view_rms_px": {
+            v.name: round(r, 5)
+            for v, r in zip(fit.views.all, fit.adjusted.view_rms_px, strict=True)
+        },
+        "lens": setup.lens.parameters.tolist(),
+        "lens_sigma": np.sqrt(np.diag(setup.covariance))[:10].tolist(),
+        "board_scale": fit.adjusted.shape[:2].tolist(),
+        "board_bow_mm": float(np.ptp(setup.corners_mm[:, 2])),
+        "px_per_mm": float(np.linalg.svd(setup.B, compute_uv=False)[0]),
+        "expected_error_mm": {d.motion: d.sigma_mm for d in drift},
+        "held_out_mm": held_out.tolist(),
+        "affine_error_px": affine_error_px(
+            site.main_target.distance_mm, site.quality.expected_drift_mm, off_axis
+        ),
+        "max_rotation_mrad": setup.levels.max_rotation_rad * 1e3,
+    }
+    if isinstance(setup.model, Rig):
+        figures["determined_by_views"] = determined_share(setup, rig_prior(site)).tolist()
+        figures["depth_mm"] = setup.model.depth_mm
+    else:
+        figures["singular_values"] = setup.model.singular_values.tolist()
+    return figures

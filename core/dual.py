@@ -1,0 +1,271 @@
+"""The dual calibration: one fitted model of lens, board, rig and reference from all views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from core.adjustment import Adjusted, AdjustmentPriors, adjust
+from core.board import Board
+from core.compensation import affine, predict_shift
+from core.discs import Discs
+from core.errors import CalibrationError
+from core.intrinsics import lens_prior, start_lens
+from core.lens import Lens
+from core.observability import require_motion
+from core.paper import PaperModel, fit_paper
+from core.pose import Pose
+from core.resection import resect
+from core.rig import MainView, Rig
+from core.setup import Levels, Setup
+from core.site import FloatArray, Site
+from core.views import Rejected, Views
+
+_DISC_SIGMA_PX = 0.005
+_SCALE_SIGMA = 2e-3
+"""Relative: the target may be tilted, and printed to a part in a thousand."""
+_CLEAN = 0.9
+_MISFIT_FACTOR = 4.0
+_MISFIT_FLOOR_PX = 0.003
+_HOLD_OUT_EVERY = 4
+_MIN_LENS_VIEWS = 3
+
+
+class Method(StrEnum):
+    """The dual calibration's model."""
+
+    RIGID = "rigid"
+    PAPER = "paper"
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """What to fit."""
+
+    site: Site
+    board: Board
+    method: Method
+    skew: bool
+    """Whether the lens's gamma of Eq. 10 may vary."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A fitted model of the whole site, and the views it rests on."""
+
+    views: Views
+    adjusted: Adjusted
+    """Its poses are in the order of `views.all`."""
+    B: FloatArray
+    """(2, 2) B~ of Eq. 8, px/mm."""
+    model: Rig | PaperModel
+    covariance: FloatArray
+    """Of lens (10), board shape (13), model (8 or 9), reference pose (6)."""
+
+    @property
+    def reference_pose(self) -> Pose:
+        """`T_CS1_WS`."""
+        return self.adjusted.poses[0]
+
+    @property
+    def motions(self) -> list[Pose]:
+        """`T_CSj_CS1` of the rig views, Eq. 12."""
+        poses = self.adjusted.poses[1 : 1 + len(self.views.rig)]
+        return [pose.compose(self.reference_pose.inverse()) for pose in poses]
+
+
+def start_from_views(views: Views, recipe: Recipe) -> tuple[Lens, list[Rejected]]:
+    """A lens to start from, and the lens views that do not fit.
+
+    Without three lens views the rig views must do; they determine the focal length poorly.
+    """
+    chosen = views.lens if len(views.lens) >= _MIN_LENS_VIEWS else views.rig
+    among = [views.reference, *chosen]
+    start = start_lens([v.board.view for v in among], recipe.board, recipe.site.sub)
+    if 0 in start.rejected:
+        msg = "calibration: the reference view does not fit the lens views; is it the same lens?"
+        raise CalibrationError(msg)
+    reason = "does not fit the other lens views"
+    return start.lens, [(among[v].name, reason) for v in start.rejected]
+
+
+def fit_views(views: Views, start: Lens, recipe: Recipe) -> Fit:
+    """Fit the model to the views. Raises NotObservableError if the motions are too few."""
+    nominal, reference = recipe.board.corners_mm, views.reference.discs
+    B, _ = affine(
+        recipe.site.main_target.centres_mm[reference.found], reference.points_px[reference.found]
+    )
+    poses = [resect(start, nominal, v.board.view).pose for v in views.all]
+    require_motion([p.compose(poses[0].inverse()) for p in poses[1 : 1 + len(views.rig)]])
+    if recipe.method is Method.RIGID:
+        return _fit_rigid(views, start, poses, B, recipe)
+    return _fit_paper(views, start, poses, B, recipe)
+
+
+def _fit_rigid(
+    views: Views, start: Lens, poses: Sequence[Pose], B: FloatArray, recipe: Recipe
+) -> Fit:
+    """Everything jointly, the survey as prior."""
+    site, reference = recipe.site, views.reference.discs
+    priors = AdjustmentPriors(lens=lens_prior(site.sub, skew=recipe.skew), rig=rig_prior(site))
+    main = [None, *(main_view(v.discs, reference) for v in views.rig), *(None for _ in views.lens)]
+    boards = [v.board.view for v in views.all]
+    adjusted = adjust(recipe.board, boards, start, poses, priors, drawn_rig(site, B), main)
+    if adjusted.rig is None:
+        msg = "calibration: the rig views show too little of the main target"
+        raise CalibrationError(msg)
+    return Fit(views, adjusted, B, adjusted.rig, adjusted.covariance)
+
+
+def _fit_paper(
+    views: Views, start: Lens, poses: Sequence[Pose], B: FloatArray, recipe: Recipe
+) -> Fit:
+    """The lens on the nominal board, then Eq. 17-19 on the mean of the discs."""
+    perfect = AdjustmentPriors(
+        lens=lens_prior(recipe.site.sub, skew=recipe.skew),
+        scale=0.0,
+        bow_mm=(0.0, 0.0, 0.0),
+        corner_mm=0.0,
+    )
+    boards = [v.board.view for v in views.all]
+    adjusted = adjust(recipe.board, boards, start, poses, perfect)
+    reference = views.reference.discs
+    motions, shifts = [], []
+    for view, pose in zip(views.rig, adjusted.poses[1:], strict=False):
+        main = main_view(view.discs, reference)
+        if main is not None:
+            motions.append(pose.compose(adjusted.poses[0].inverse()))
+            shifts.append((main.points_px - main.reference_px).mean(axis=0))
+    drawn = drawn_rig(recipe.site, B)
+    middle = reference.points_px[reference.found].mean(axis=0)
+    p_CS1 = drawn.T_CM_CS.inverse().apply(drawn.target_points_CM1(middle[None]))[0]
+    start_B = drawn.scale_px_per_mm * drawn.T_CM_CS.R[:2]
+    model = fit_paper(motions, np.array(shifts), start_B, p_CS1)
+    return Fit(views, adjusted, B, model, _paper_covariance(adjusted, model))
+
+
+def _paper_covariance(adjusted: Adjusted, model: PaperModel) -> FloatArray:
+    """The rig's place in the adjustment's covariance taken by the nine parameters."""
+    lens_shape, pose = slice(0, 23), slice(31, 37)
+    covariance = np.zeros((38, 38))
+    covariance[:23, :23] = adjusted.covariance[lens_shape, lens_shape]
+    covariance[23:32, 23:32] = model.covariance
+    covariance[32:, 32:] = adjusted.covariance[pose, pose]
+    covariance[:23, 32:] = adjusted.covariance[lens_shape, pose]
+    covariance[32:, :23] = adjusted.covariance[pose, lens_shape]
+    return covariance
+
+
+def drawn_rig(site: Site, B: FloatArray) -> Rig:
+    """The rig as drawn, with the scale measured on the target (largest singular value of B~)."""
+    angles = site.rig.rotation_main_sub_deg
+    return Rig(
+        Pose(
+            np.asarray(Rotation.from_euler("xyz", angles, degrees=True).as_matrix()),
+            np.asarray(site.rig.offset_main_sub_mm, dtype=float),
+        ),
+        site.main_target.distance_mm,
+        float(np.linalg.svd(B, compute_uv=False)[0]),
+        site.main.centre_px,
+    )
+
+
+def rig_prior(site: Site) -> FloatArray:
+    """(8,) 1-sigma of the rig parameters: drawing, survey, and the measured scale."""
+    target = site.main_target
+    return np.array(
+        [np.radians(site.rig.rotation_sigma_deg)] * 3
+        + [site.rig.offset_sigma_mm] * 3
+        + [target.distance_sigma_mm / target.distance_mm, _SCALE_SIGMA]
+    )
+
+
+def main_view(discs: Discs, reference: Discs) -> MainView | None:
+    """The discs that are clear in a view and in the reference, or None."""
+    common = discs.found & reference.found & (discs.clean > _CLEAN)
+    if not common.any():
+        return None
+    return MainView(discs.points_px[common], reference.points_px[common], _DISC_SIGMA_PX)
+
+
+def main_misses_px(
+    model: Rig | PaperModel, discs: Discs, reference: Discs, motion: Pose
+) -> FloatArray:
+    """Discs of a target at rest minus their prediction, (k, 2) px."""
+    main = main_view(discs, reference)
+    if main is None:
+        return np.zeros((0, 2))
+    shift = predict_shift(model, main.reference_px, motion).shift_px
+    return np.asarray(main.points_px - main.reference_px - shift)
+
+
+def without_misfits(fit: Fit, recipe: Recipe) -> tuple[Fit, list[Rejected]]:
+    """Fit again without the views whose corners fit far worse than the others'."""
+    rms = np.array(fit.adjusted.view_rms_px)
+    typical = float(np.median(rms))
+    bad = rms > _MISFIT_FACTOR * max(typical, _MISFIT_FLOOR_PX)
+    if not bad.any():
+        return fit, []
+    if bad[0] or bad.sum() > 0.4 * len(bad):
+        msg = (
+            f"calibration: {int(bad.sum())} of {len(bad)} views do not fit the others"
+            f"{', the reference among them' if bad[0] else ''}; was the lens or the board touched?"
+        )
+        raise CalibrationError(msg)
+    rejected = [
+        (view.name, f"corners off by {r:.3f} px rms, the others by {typical:.3f} px")
+        for view, r, is_bad in zip(fit.views.all, rms, bad, strict=True)
+        if is_bad
+    ]
+    kept = fit.views.without({name for name, _ in rejected})
+    return fit_views(kept, fit.adjusted.lens, recipe), rejected
+
+
+def setup_of(fit: Fit, board: Board) -> Setup:
+    """What measurements need of a fit."""
+    reference = fit.views.reference
+    levels = Levels(
+        float(np.median(fit.adjusted.view_rms_px)),
+        reference.board.contrast_dn,
+        reference.board.blur_px,
+        reference.discs.contrast_dn,
+        reference.discs.blur_px,
+        max(float(np.linalg.norm(m.rotation_rad)) for m in fit.motions),
+        max(float(np.linalg.norm(m.t_mm)) for m in fit.motions),
+    )
+    return Setup(
+        board,
+        fit.adjusted.corners_mm,
+        fit.adjusted.lens,
+        fit.reference_pose,
+        reference.discs.points_px,
+        fit.B,
+        fit.model,
+        fit.covariance,
+        levels,
+    )
+
+
+def validate(fit: Fit, recipe: Recipe) -> FloatArray:
+    """Errors (n, 2) mm at rig positions held out of a second fit; the target was at rest.
+
+    Empty if too few positions would be left to fit to.
+    """
+    held = fit.views.rig[1::_HOLD_OUT_EVERY]
+    try:
+        kept = fit.views.without({view.name for view in held})
+        trial = fit_views(kept, fit.adjusted.lens, recipe)
+    except CalibrationError:
+        return np.zeros((0, 2))
+    errors = []
+    for view in held:
+        pose = resect(trial.adjusted.lens, trial.adjusted.corners_mm, view.board.view).pose
+        motion = pose.compose(trial.reference_pose.inverse())
+        misses = main_misses_px(trial.model, view.discs, fit.views.reference.discs, motion)
+        if len(misses):
+            errors.append(np.linalg.solve(trial.B, misses.mean(axis=0)))
+    return np.array(errors).reshape(-1, 2)
