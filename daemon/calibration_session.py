@@ -72,9 +72,7 @@ def take_views(rig: Rig, state: Path, on_step: Callable[[str], None]) -> Path:
     The rig ends where it began, also after an error, and the head is halted first. Raises
     HeadError, DeviceError, OSError.
     """
-    start_utc = rig.clock.now_utc()
-    directory = state / FOLDER / f"{start_utc:%Y%m%dT%H%M%SZ}"
-    make_directory_durable(directory)
+    directory = _new_directory(state / FOLDER / f"{rig.clock.now_utc():%Y%m%dT%H%M%SZ}")
     rows: list[FrameSetRow] = []
     try:
         for row in _views(rig, directory):
@@ -88,6 +86,16 @@ def take_views(rig: Rig, state: Path, on_step: Callable[[str], None]) -> Path:
         if rig.hold_board is not None:
             rig.hold_board(None)
     rig.head.move_to(0.0, 0.0)
+    return directory
+
+
+def _new_directory(wanted: Path) -> Path:
+    """Make a directory; simulated time can come twice, and no session overwrites another."""
+    directory, number = wanted, 1
+    while directory.exists():
+        number += 1
+        directory = wanted.with_name(f"{wanted.name}-{number}")
+    make_directory_durable(directory)
     return directory
 
 

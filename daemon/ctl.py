@@ -13,6 +13,7 @@ import click
 
 from daemon.commands.options import Options, common_options
 from daemon.errors import run
+from daemon.log import configure_log
 
 COMMANDS = {
     "check": "Check config, state and clock; with --hardware cameras too.",
@@ -69,6 +70,7 @@ def cli(ctx: click.Context) -> None:
     those of status: 0 OK, 1 warning, 2 critical, 3 unknown.
     """
     ctx.ensure_object(Options)
+    configure_log(level="warning")
 
 
 def main() -> int:

@@ -49,8 +49,10 @@ class Daemon:
 
     running: bool | None
     """None where the kernel does not tell."""
-    heartbeat_utc: str | None
-    clean_stop_utc: str | None
+    heartbeat_utc: datetime | None
+    """Up to when every slot has its row or gap."""
+    clean_stop_utc: datetime | None
+    """None while it runs, and after it died."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,13 +96,13 @@ def look(config: Config, state: Path, store: Store, now_utc: datetime) -> Facts:
         last_good=_last_good(store, last),
         calibration=store.active_calibration(),
         config_hash=config.config_hash(),
-        coverage_24h=_coverage(config, store, first, now_utc, DAY),
-        coverage_30d=_coverage(config, store, first, now_utc, MONTH),
+        coverage_24h=_coverage(config, store, accounted, now_utc, DAY),
+        coverage_30d=_coverage(config, store, accounted, now_utc, MONTH),
         gaps=tuple(store.gaps(now_utc - MONTH, now_utc)),
         daemon=Daemon(
             running=dcamd_runs(state),
-            heartbeat_utc=store.get_mark(Mark.HEARTBEAT_UTC),
-            clean_stop_utc=store.get_mark(Mark.CLEAN_STOP_UTC),
+            heartbeat_utc=_mark_time(store, Mark.HEARTBEAT_UTC),
+            clean_stop_utc=_mark_time(store, Mark.CLEAN_STOP_UTC),
         ),
         disk=_disk(state, last, config.schedule.period_s),
         simulated_clock=simulated,
@@ -140,18 +142,25 @@ def clock_is_synchronised() -> bool | None:
 
 
 def _coverage(
-    config: Config, store: Store, first: datetime | None, now_utc: datetime, span: timedelta
+    config: Config,
+    store: Store,
+    accounted: tuple[datetime, datetime] | None,
+    now_utc: datetime,
+    span: timedelta,
 ) -> Coverage:
-    """Account for the slots of a span that are over; the one in progress is not."""
+    """Account for the slots of a span; the one in progress does not count yet."""
     schedule = config.schedule
-    until = now_utc - timedelta(seconds=schedule.period_s)
-    since = now_utc - span if first is None else max(first, now_utc - span)
-    return store.coverage(
-        since if first else until,
-        until,
-        period_s=schedule.period_s,
-        offset_s=schedule.offset_s,
-    )
+    since = until = now_utc - timedelta(seconds=schedule.period_s)
+    if accounted is not None:
+        first, last = accounted
+        since = max(first, now_utc - span)
+        until = min(max(until, last + timedelta(seconds=1)), now_utc + timedelta(seconds=1))
+    return store.coverage(since, until, period_s=schedule.period_s, offset_s=schedule.offset_s)
+
+
+def _mark_time(store: Store, mark: Mark) -> datetime | None:
+    text = store.get_mark(mark)
+    return None if text is None else datetime.fromisoformat(text).replace(microsecond=0)
 
 
 def _last_good(store: Store, last: MeasurementRecord | None) -> MeasurementRecord | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import closing
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import click
@@ -19,6 +19,10 @@ from daemon.devices import open_clock, open_simulated_rig, require_backend
 from daemon.errors import ExitCode, HardwareError, UsageError
 from daemon.lock import sole_writer
 from daemon.store.database import open_store
+from drivers.clock import SteppedClock
+
+BEFORE_THE_STORY = timedelta(minutes=10)
+"""A simulated rig is calibrated before anything happens to it: until then both targets rest."""
 
 
 @click.command(
@@ -66,15 +70,16 @@ def command(
         msg = "give either --from DIR or --pan-tilt"
         raise UsageError(msg)
     config, state = options.config, options.state
+    taken_utc = datetime.now(UTC)
     if directory is None:
-        directory = capture_views(config, state)
+        directory, taken_utc = capture_views(config, state)
     return calibrate_and_store(
-        config, state, directory, Method(method), accept=accept, as_json=as_json
+        config, state, directory, Method(method), taken_utc, accept=accept, as_json=as_json
     )
 
 
-def capture_views(config: Config, state: Path) -> Path:
-    """Take the views with the pan-tilt head; give the directory of their frame set.
+def capture_views(config: Config, state: Path) -> tuple[Path, datetime]:
+    """Take the views with the pan-tilt head; give the directory of their frame set, and when.
 
     Raises HardwareError for a backend without a head, AlreadyRunningError, HeadError, DeviceError.
     """
@@ -83,6 +88,8 @@ def capture_views(config: Config, state: Path) -> Path:
         msg = f"no pan-tilt head for backend {backend} in this version; use --from DIR"
         raise HardwareError(msg)
     clock = open_clock(config)
+    if isinstance(clock, SteppedClock):
+        clock.set_utc(config.simulation.start_utc - BEFORE_THE_STORY)
     with sole_writer(state, "dcam-ctl calibrate"):
         devices = open_simulated_rig(config, clock)
         rig = Rig(config.site(), devices.source, devices.head, clock, devices.world.hold_board)
@@ -91,7 +98,7 @@ def capture_views(config: Config, state: Path) -> Path:
             closing(devices.head),
             progress(view_count(rig), "taking views") as steps,
         ):
-            return take_views(rig, state, steps.next)
+            return take_views(rig, state, steps.next), clock.now_utc()
 
 
 def calibrate_and_store(
@@ -99,10 +106,10 @@ def calibrate_and_store(
     state: Path,
     directory: Path,
     method: Method,
+    created_utc: datetime,
     *,
     accept: bool,
     as_json: bool,
-    created_utc: datetime | None = None,
 ) -> int:
     """Calibrate on a frame set, tell the result, store it; give the exit code."""
     frames = views_in(directory)
@@ -112,7 +119,7 @@ def calibrate_and_store(
         if not as_json:
             say_report(run)
         activate = accept or is_wanted(run)
-        number = store_run(store, run, config, created_utc or datetime.now(UTC), activate=activate)
+        number = store_run(store, run, config, created_utc, activate=activate)
     if as_json:
         print_json(calibration_fields(run, number, active=activate))
     else:

@@ -163,11 +163,13 @@ def _daemon(facts: Facts) -> Item:
         return Item("daemon", Level.OK, "running")
     if daemon.running is None:
         return Item("daemon", Level.UNKNOWN, "cannot be told: /proc/locks is not readable")
-    if daemon.clean_stop_utc:
-        return Item("daemon", Level.WARNING, f"stopped in order, {daemon.clean_stop_utc}")
+    if daemon.clean_stop_utc is not None:
+        return Item("daemon", Level.WARNING, f"stopped in order, {utc_text(daemon.clean_stop_utc)}")
     if daemon.heartbeat_utc is None:
         return Item("daemon", Level.WARNING, "never ran here; systemctl start dcamd")
-    text = f"not running, died after {daemon.heartbeat_utc}; journalctl -u dcamd tells why"
+    text = (
+        f"not running, died after {utc_text(daemon.heartbeat_utc)}; journalctl -u dcamd tells why"
+    )
     return Item("daemon", Level.CRITICAL, text)
 
 

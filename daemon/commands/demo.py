@@ -1,0 +1,217 @@
+"""`dcam-ctl demo`: the whole system on a simulated rig, judged against the known truth."""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+
+import click
+import numpy as np
+
+from core.calibration import Method
+from core.results import Flag
+from core.site import FloatArray
+from daemon.commands.calibrate import calibrate_and_store, capture_views
+from daemon.commands.gaps import print_gaps
+from daemon.commands.options import common_options
+from daemon.commands.output import note, print_table, progress, say, span_text
+from daemon.commands.status import coverage_text, judge, print_status
+from daemon.config import Installation, find_installation
+from daemon.devices import open_clock, open_simulated_rig
+from daemon.errors import UsageError, WorkFailedError
+from daemon.figure import GapSpan, draw, require_matplotlib, series_of
+from daemon.health import look
+from daemon.store.database import Store, open_store_readonly
+from daemon.store.records import GapRecord, MeasurementRecord
+from drivers.errors import MissingLibraryError
+
+SLOTS = 72
+"""A day of the demo's schedule."""
+SITE = Path(__file__).parents[1] / "demo.toml"
+CONFIG, LOG, FIGURE = "dcam.toml", "dcamd.log", "demo.png"
+
+
+@click.command("demo", epilog="\b\nExample:\n  dcam-ctl demo --output /tmp/dcam-demo")
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Where everything goes, an earlier demo there is replaced; default: a new directory in "
+    "the temporary one.",
+)
+@common_options
+def command(output: Path | None) -> None:
+    """Calibrate, run dcamd for a day of 72 slots, and compare with the truth; a few minutes.
+
+    The rig is simulated, 22 m from its target: it drifts, the bridge moves, a camera is lost for
+    a while, insects sit on the targets, it snows, night comes. Everything else is the real
+    thing: the commands, the daemon, the database.
+    """
+    has_figure = _can_draw()
+    directory = prepared(output)
+    site = find_installation(directory / CONFIG, directory / "state")
+    say(f"1. Calibration with the pan-tilt head, {site.config.name} site in {directory}")
+    frames, taken_utc = capture_views(site.config, site.state_directory)
+    calibrate_and_store(
+        site.config,
+        site.state_directory,
+        frames,
+        Method.RIGID,
+        taken_utc,
+        accept=True,
+        as_json=False,
+    )
+    say(f"\n2. dcamd, {SLOTS} slots, {span_text(site.config.schedule.period_s)} apart")
+    run_dcamd(site, directory / LOG)
+    with open_store_readonly(site.state_directory) as store:
+        tell(site, store, directory / FIGURE if has_figure else None)
+
+
+def _can_draw() -> bool:
+    try:
+        require_matplotlib()
+    except MissingLibraryError as error:
+        note(f"warning: {error}")
+        return False
+    return True
+
+
+def prepared(output: Path | None) -> Path:
+    """Make the directory and put the config there. Raises UsageError for one that is in use."""
+    if output is None:
+        output = Path(tempfile.mkdtemp(prefix="dcam-demo-"))
+    elif output.exists() and any(output.iterdir()):
+        written = output / CONFIG
+        if not written.is_file() or written.read_bytes() != SITE.read_bytes():
+            msg = f"{output}: holds something else than a demo; give an empty or a new directory"
+            raise UsageError(msg)
+        shutil.rmtree(output / "state", ignore_errors=True)
+    output.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(SITE, output / CONFIG)
+    return output
+
+
+def run_dcamd(site: Installation, log: Path) -> None:
+    """Run the daemon as a program of its own. Raises WorkFailedError when it fails."""
+    arguments = [
+        *(sys.executable, "-m", "daemon.main", "--max-slots", str(SLOTS)),
+        *("--config", str(site.config_path), "--state", str(site.state_directory)),
+    ]
+    with (
+        log.open("w", encoding="utf-8") as file,
+        progress(SLOTS, "running dcamd") as steps,
+        subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True) as dcamd,
+    ):
+        for line in dcamd.stderr or ():
+            file.write(line)
+            if slot := re.search(r"event=slot_(?:done|missed) slot=(\S+)", line):
+                steps.next(f"slot {slot[1]}")
+    if dcamd.returncode != 0:
+        msg = f"dcamd ended with code {dcamd.returncode}; {log} tells why"
+        raise WorkFailedError(msg)
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """How far values were from the truth, in the plane of the target."""
+
+    name: str
+    rows: int
+    max_mm: float
+    rms_mm: float
+
+
+def tell(site: Installation, store: Store, figure: Path | None) -> None:
+    """Print status, coverage, gaps and errors, and draw the figure.
+
+    Raises WorkFailedError when a slot is unaccounted for or the corrected values are no good.
+    """
+    rows, gaps = list(store.measurements()), store.gaps()
+    facts = look(site.config, site.state_directory, store, rows[-1].slot_utc)
+    say("\n3. dcam-ctl status, at the last slot")
+    print_status(facts, judge(facts))
+    say(f"\n4. Coverage: {coverage_text(facts.coverage_24h)}")
+    say("\n5. dcam-ctl gaps")
+    print_gaps(gaps)
+    true_mm = truth_mm(site, rows)
+    errors = errors_of(rows, true_mm)
+    say("\n6. Error against the simulator's truth, length of (x, y), mm")
+    print_table(
+        ("", "rows", "max", "rms"),
+        [(e.name, str(e.rows), f"{e.max_mm:.3f}", f"{e.rms_mm:.3f}") for e in errors],
+    )
+    say(f"{within_sigma(rows, true_mm):.0%} of the corrected x and y are within their 1 sigma")
+    if figure is not None:
+        draw_figure(rows, gaps, true_mm, figure)
+        say(f"\n7. Figure: {figure}")
+    say(f"\nLook around: dcam-ctl --config {site.config_path} export")
+    _require_success(facts.coverage_24h.unaccounted, errors)
+
+
+def truth_mm(site: Installation, rows: Sequence[MeasurementRecord]) -> FloatArray:
+    """The true displacement (n, 2) in each row's slot; only the simulation knows it."""
+    rig = open_simulated_rig(site.config, open_clock(site.config))
+    with closing(rig.source):
+        true = [rig.world.truth(row.slot_utc).displacement_mm for row in rows]
+    return np.array(true, dtype=np.float64).reshape(-1, 2)
+
+
+def errors_of(rows: Sequence[MeasurementRecord], true_mm: FloatArray) -> list[Errors]:
+    """Errors of the main camera alone, and of the corrected values by their flags."""
+    series = series_of([(row.slot_utc, row.measurement) for row in rows])
+    good = np.array([flag is Flag.GOOD for flag in series.flags])
+    return [
+        _errors("raw", series.raw_mm - true_mm),
+        _errors("corrected", series.corrected_mm - true_mm),
+        _errors("corrected, flag good", (series.corrected_mm - true_mm)[good]),
+    ]
+
+
+def _errors(name: str, error_mm: FloatArray) -> Errors:
+    length_mm = np.linalg.norm(error_mm[np.isfinite(error_mm).all(axis=1)], axis=1)
+    if not len(length_mm):
+        return Errors(name, 0, math.nan, math.nan)
+    rms_mm = float(np.sqrt(np.mean(length_mm**2)))
+    return Errors(name, len(length_mm), float(length_mm.max()), rms_mm)
+
+
+def within_sigma(rows: Sequence[MeasurementRecord], true_mm: FloatArray) -> float:
+    """Share of corrected coordinates whose error is below their sigma; two thirds is honest."""
+    series = series_of([(row.slot_utc, row.measurement) for row in rows])
+    ratio = np.abs(series.corrected_mm - true_mm) / series.sigma_mm
+    return float(np.mean(ratio[np.isfinite(ratio)] < 1.0))
+
+
+def draw_figure(
+    rows: Sequence[MeasurementRecord],
+    gaps: Sequence[GapRecord],
+    true_mm: FloatArray,
+    path: Path,
+) -> None:
+    """Draw raw, corrected and true displacement, its error, and the rig's motion."""
+    half_slot = timedelta(seconds=gaps[0].period_s / 2) if gaps else timedelta()
+    spans = [
+        GapSpan(gap.first_slot_utc - half_slot, gap.last_slot_utc + half_slot, gap.cause.value)
+        for gap in gaps
+    ]
+    series = series_of([(row.slot_utc, row.measurement) for row in rows], true_mm)
+    draw(series, spans, "Simulated rig 22 m from its target: raw, corrected and true", path)
+
+
+def _require_success(unaccounted: int, errors: Sequence[Errors]) -> None:
+    raw, corrected = errors[0], errors[1]
+    if unaccounted:
+        msg = f"{unaccounted} slots have neither row nor gap"
+        raise WorkFailedError(msg)
+    if not corrected.rms_mm < 0.1 * raw.rms_mm:
+        msg = f"corrected values are {corrected.rms_mm:.3f} mm rms off, raw ones {raw.rms_mm:.3f}"
+        raise WorkFailedError(msg)
