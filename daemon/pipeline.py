@@ -240,7 +240,7 @@ def _keep_frames(
 def _acknowledge(line: Pipeline, record: MeasurementRecord, started_s: float) -> None:
     """Say that the slot is done; only of a row that is on the disk."""
     measurement, displacement = record.measurement, record.measurement.corrected
-    x_mm, y_mm = displacement.mm.tolist() if displacement else (None, None)
+    x_mm, y_mm = displacement.mm.round(4).tolist() if displacement else (None, None)
     _log.info(
         "slot_done",
         slot=slot_text(record.slot_utc),
