@@ -78,11 +78,6 @@ def _contradictions(config: Config) -> list[str]:
             f"schedule.offset_s: must be less than period_s = {schedule.period_s}, "
             f"is {schedule.offset_s}"
         )
-    if schedule.max_late_s > schedule.period_s:
-        problems.append(
-            f"schedule.max_late_s: must not exceed period_s = {schedule.period_s}, "
-            f"is {schedule.max_late_s}"
-        )
     return problems
 
 

@@ -33,6 +33,7 @@ from core.site import (
     RigPrior,
     Site,
 )
+from daemon.schedule import Schedule
 from drivers.protocols import PixelFormat, Role
 from drivers.sim.settings import (
     AsBuilt,
@@ -193,6 +194,10 @@ class ScheduleSection(Section):
     period_s: int = Field(default=60, ge=1, le=86_400)
     offset_s: int = Field(default=0, ge=0)
     max_late_s: float = Field(default=2.0, gt=0)
+
+    def schedule(self) -> Schedule:
+        """Convert to the daemon's type; later than half a period is nearer to the next slot."""
+        return Schedule(self.period_s, self.offset_s, min(self.max_late_s, self.period_s / 2))
 
 
 class ExposureSection(Section):

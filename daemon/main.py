@@ -23,7 +23,6 @@ from daemon.notify import Notifier
 from daemon.pipeline import Pipeline
 from daemon.recovery import mark_stop, read_boot_id, recover
 from daemon.runner import SlotRunner
-from daemon.schedule import Schedule
 from daemon.store.database import Store, open_store
 from daemon.store.frames import FrameArchive
 from daemon.version import VERSION
@@ -83,7 +82,7 @@ def _run(
     clock = open_clock(config, accounted[1] if accounted else None)
     archive = FrameArchive(installation.state_directory)
     line = Pipeline(config.site(), config.config_hash(), store, archive, clock)
-    schedule = Schedule(**config.schedule.model_dump())
+    schedule = config.schedule.schedule()
     with ExitStack() as opened:
         source = opened.enter_context(closing(open_pair_source(config, clock)))
         notifier.status("recovering")

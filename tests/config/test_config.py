@@ -195,7 +195,7 @@ def test_every_mistake_is_told_at_once(write) -> None:
         ("[schedule]\nperiod_s = 0", "schedule.period_s: must be at least 1"),
         ("[schedule]\nperiod_s = 0.5", "schedule.period_s: must be a whole number"),
         ("[schedule]\noffset_s = 60", "schedule.offset_s: must be less than period_s = 60"),
-        ("[schedule]\nmax_late_s = 61", "schedule.max_late_s: must not exceed period_s"),
+        ("[schedule]\nmax_late_s = 0", "schedule.max_late_s: must be greater than 0"),
         ("[exposure]\nmain_us = 0.005", "exposure.main_us: .* is this in milliseconds"),
         ("[log]\nlevel = 'loud'", "log.level: must be one of"),
         ("[storage]\ndir = '/tmp'", "storage.dir: unknown key; did you mean storage.directory"),
@@ -245,6 +245,11 @@ def test_hash_is_of_what_measures_and_not_of_how_it_is_written(write) -> None:
         ("[rig]", "[quality]\nmax_sigma_mm = 0.4\n[rig]"),
     ]:
         assert load_config(write(change)).config_hash() != known
+
+
+def test_short_period_shortens_how_late_a_slot_may_be(write) -> None:
+    schedule = load_config(write(extra="[schedule]\nperiod_s = 1")).schedule.schedule()
+    assert schedule.max_late_s == 0.5
 
 
 def test_flag_before_environment_before_file_before_default(write, tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ distance_mm = 50.0
 rotation_main_sub_deg = [0.0, 180.0, 0.0]
 offset_main_sub_mm = [0.0, 0.0, -80.0]
 """
-REAL_TIME = '[schedule]\nperiod_s = 1\nmax_late_s = 0.9\n[simulation]\nclock = "system"\n'
+REAL_TIME = '[schedule]\nperiod_s = 1\n[simulation]\nclock = "system"\n'
 MARCH = datetime(2026, 3, 1, tzinfo=UTC)
 
 
