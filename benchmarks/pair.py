@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import statistics
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -138,6 +139,6 @@ def opencv_cost(sub: Image, crossings_px: FloatArray, lens: Lens, site: Site) ->
     return time.process_time() - started_s
 
 
-def rms(vectors: list[FloatArray]) -> float:
+def rms(vectors: Sequence[FloatArray]) -> float:
     """Root mean square length."""
     return float(np.sqrt(np.mean([v @ v for v in vectors])))
