@@ -8,6 +8,7 @@ from core.results import Reason
 from daemon.pipeline import record_late
 from daemon.recovery import mark_stop, recover
 from daemon.store.records import Mark
+from drivers.frameset import read_frame_set
 
 
 def slot(minute: int) -> datetime:
@@ -36,6 +37,16 @@ def test_absence_is_a_gap_with_its_cause(station, stopped, boot_id, cause) -> No
     station.run(2, boot_id=boot_id)
     assert station.minutes() == [0, 1, 6, 7]
     assert station.gaps() == [(2, 5, cause)]
+
+
+def test_crash_after_a_clean_stop_and_a_new_start_is_a_crash(station) -> None:
+    station.run(1)
+    mark_stop(station.store, station.clock.now_utc())
+    station.clock.advance(120)
+    station.run(1)
+    station.clock.advance(120)
+    station.run(1)
+    assert station.gaps() == [(1, 1, "stopped"), (3, 3, "crash")]
 
 
 def test_recovery_may_be_repeated(station) -> None:
@@ -71,6 +82,11 @@ def test_frames_whose_table_line_was_torn_are_measured_too(station) -> None:
     station.clock.advance(120)
     station.run(1)
     assert station.minutes() == [0, 1, 2]
+    assert [row.slot_utc for row in read_frame_set(table.parent).rows] == [
+        slot(0),
+        slot(1),
+        slot(2),
+    ]
 
 
 def test_damaged_frames_become_a_row_that_says_so(station) -> None:
