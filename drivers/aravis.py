@@ -99,7 +99,10 @@ class AravisCamera:
             return opened.thread.call(lambda: function(opened.session), timeout_s)
         except DeadlineExceededError:
             self._discard(0.0)
-            msg = f"camera {self._serial}: {what} did not return within {timeout_s:g} s"
+            msg = (
+                f"camera {self._serial}: no answer within {timeout_s:g} s to {what};"
+                " check power and cable"
+            )
             raise DeviceLostError(msg, self._role) from None
         except DeviceError as error:
             error.role = self._role
