@@ -17,7 +17,8 @@ from core.site import FloatArray, Site
 _DARK_SHARE = 0.08
 _SATURATED_SHARE = 0.3
 _HIDDEN_SHARE = 0.005
-_FITS = 0.1  # weight of a corner five standard deviations off
+_MISFIT_WEIGHT = 0.1  # five standard deviations off
+_MISFIT_PX = 0.05  # and more than a board's print errors leave
 _CLEAN = 0.95
 _BLUR_FACTOR = 2.0
 _RESIDUAL_FACTOR = 3.0
@@ -54,7 +55,8 @@ def judge_main(setup: Setup, discs: Discs, shift: Shift) -> list[Reason]:
 def judge_sub(setup: Setup, located: LocatedBoard, board: BoardPose) -> list[Reason]:
     """What is doubtful about the sub target."""
     reasons = []
-    used = float((board.weights > _FITS).sum())
+    off = np.hypot(board.residuals_px[:, 0], board.residuals_px[:, 1])
+    used = len(off) - int(((board.weights < _MISFIT_WEIGHT) & (off > _MISFIT_PX)).sum())
     if not located.certain:
         reasons.append(Reason.SUB_TARGET_UNCERTAIN)
     if used < (1.0 - _HIDDEN_SHARE) * located.visible:
