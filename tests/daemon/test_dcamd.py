@@ -201,6 +201,27 @@ def test_killed_and_started_again_nothing_acknowledged_is_lost(site: Site) -> No
         assert store.measured_slots() >= site.acknowledged(result.stderr)
 
 
+def test_full_disk_never_ends_the_daemon(site: Site) -> None:
+    """A disk of 1.5 MB, so real ENOSPC, of frames and of rows; all 30 slots are gone through."""
+    site.state.mkdir()
+    result = site.run(
+        *("--max-slots", "30"),
+        before=(
+            *("unshare", "-Urm", "sh", "-c"),
+            'mount -t tmpfs -o size=1500k tmpfs "$0" || exit 77; exec "$@"',
+            str(site.state),
+        ),
+    )
+    if result.returncode == 77 or "unshare" in result.stderr:
+        pytest.skip(f"no mount without root here: {result.stderr.strip()}")
+    told = re.findall(r"event=slot_(done|missed) slot=(\S+)(?: cause=(\w+))?", result.stderr)
+    assert len({slot for _, slot, _ in told}) == 30
+    assert {cause for event, _, cause in told if event == "missed"} == {"disk_full"}
+    assert "event=frames_not_kept" in result.stderr
+    assert result.returncode == 5
+    assert result.stderr.splitlines()[-1].startswith("dcamd: error: ")
+
+
 STEPS = {
     "main frame written": r"/\.\d+_main\.png\.tmp",
     "sub frame written": r"/\.\d+_sub\.png\.tmp",
