@@ -165,11 +165,11 @@ def _error(panel: Axes, series: Series) -> None:
     true = series.true_mm
     if true is None:
         return
-    for axis, name in ((1, "y"), (0, "x")):
+    for axis, name, colour in ((1, "y", CORRECTED), (0, "x", AXES[2])):
         error = series.corrected_mm[:, axis] - true[:, axis]
         sigma = series.sigma_mm[:, axis]
-        panel.plot(times, error, color=AXES[axis], marker=".", linewidth=0.8, label=f"{name} error")
-        panel.fill_between(times, -sigma, sigma, color=AXES[axis], alpha=0.15)
+        panel.plot(times, error, color=colour, marker=".", linewidth=0.8, label=f"{name} error")
+        panel.fill_between(times, -sigma, sigma, color=colour, alpha=0.12)
     panel.plot([], [], color=RAW, linewidth=6, alpha=0.4, label="± 1 sigma")
     panel.set_ylabel("corrected - true (mm)")
 
@@ -187,7 +187,7 @@ def _mark_flags(panel: Axes, series: Series, value: FloatArray) -> None:
     bad = [i for i, flag in enumerate(series.flags) if flag is Flag.BAD]
     if suspect:
         times: Any = [series.times[i] for i in suspect]
-        panel.plot(times, value[suspect], "o", color=SUSPECT, markersize=5, label="suspect")
+        panel.plot(times, value[suspect], "o", color=SUSPECT, fillstyle="none", label="suspect")
     if bad:
         times = [series.times[i] for i in bad]
         panel.plot(

@@ -109,7 +109,9 @@ def run_dcamd(site: Installation, log: Path) -> None:
     with (
         log.open("w", encoding="utf-8") as file,
         progress(SLOTS, "running dcamd") as steps,
-        subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True) as dcamd,
+        subprocess.Popen(  # noqa: S603 - our own program, no shell
+            arguments, stderr=subprocess.PIPE, text=True
+        ) as dcamd,
     ):
         for line in dcamd.stderr or ():
             file.write(line)
