@@ -5,7 +5,6 @@ from __future__ import annotations
 import builtins
 import json
 import re
-import signal
 import subprocess
 import sys
 import threading
@@ -300,12 +299,12 @@ def test_a_camera_that_falls_silent_costs_its_deadline_and_comes_back(
     camera: AravisCamera, process: CameraProcess
 ) -> None:
     shoot(camera)
-    process.signal(signal.SIGSTOP)
+    process.freeze()
     start_s = time.monotonic()
     with pytest.raises(DeviceLostError):
         shoot(camera)
     assert time.monotonic() - start_s < 2 * SETTINGS.command_timeout_s + 1.0
-    process.signal(signal.SIGCONT)
+    process.thaw()
     camera.open()
     shoot(camera)
 

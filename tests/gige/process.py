@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import queue
 import signal
 import subprocess
@@ -59,10 +60,16 @@ class CameraProcess:
         with self._sent:
             assert self._sent.wait_for(lambda: len(self.frames) >= n, ANSWER_S)
 
-    def signal(self, number: signal.Signals) -> None:
-        """SIGSTOP makes it silent, SIGCONT lets it go on."""
+    def freeze(self) -> None:
+        """Make it silent."""
         assert self._process is not None
-        self._process.send_signal(number)
+        self._process.send_signal(signal.SIGSTOP)
+        os.waitid(os.P_PID, self._process.pid, os.WSTOPPED)
+
+    def thaw(self) -> None:
+        """Let it go on."""
+        assert self._process is not None
+        self._process.send_signal(signal.SIGCONT)
 
     def kill(self) -> None:
         """As when its cable is pulled."""
