@@ -13,7 +13,6 @@ from pydantic import ValidationError
 
 from daemon.config_model import (
     DEFAULT_STATE_DIRECTORY,
-    CameraSection,
     Config,
     SimulationSection,
 )
@@ -24,7 +23,6 @@ from daemon.plausibility import implausible_values
 __all__ = [
     "DEFAULT_CONFIG_PATH",
     "DEFAULT_STATE_DIRECTORY",
-    "CameraSection",
     "Config",
     "Installation",
     "SimulationSection",

@@ -66,15 +66,19 @@ def _wrong(config: Config, key: str, problem: str) -> ConfigError:
     return ConfigError(f"{config.path}: {key}: {problem}")
 
 
-def open_clock(config: Config, last_utc: datetime | None = None) -> Clock:
+def open_clock(
+    config: Config, last_utc: datetime | None = None, begin_utc: datetime | None = None
+) -> Clock:
     """Give the clock of the site: the machine's, or a stepped one for the simulated rig.
 
-    A stepped clock begins where the config says, else where the record ends (`last_utc`), so that
-    simulated time goes on from one run to the next.
+    A stepped clock begins at `begin_utc` if given, or where the config says, else where the record
+    ends (`last_utc`), so that simulated time goes on from one run to the next.
     """
     simulation = config.simulation
     if config.camera.main.backend != "simulated" or simulation.clock == "system":
         return SystemClock()
+    if begin_utc is not None:
+        return SteppedClock(begin_utc)
     begin = simulation.clock_start_utc or simulation.start_utc
     if simulation.clock_start_utc is None and last_utc is not None:
         begin = max(begin, last_utc)

@@ -1,0 +1,177 @@
+"""The tables of `dcam.toml` that describe a site: cameras, targets, rig, limits of quality.
+
+They become `core.site.Site`; whether its values fit together is judged in `plausibility`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    AwareDatetime,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    Strict,
+    ValidationInfo,
+)
+
+from core.site import CameraGeometry, CheckerboardTarget, CirclesTarget, QualityLimits, RigPrior
+from drivers.protocols import PixelFormat, Role
+
+
+def _number_to_list(value: object) -> object:
+    return [value] if isinstance(value, int | float) else value
+
+
+def _beside_the_config(value: Path, info: ValidationInfo) -> Path:
+    """Take a relative path as relative to the config file, not to where the daemon was started."""
+    base: Path = (info.context or {}).get("directory", Path())
+    return base / value.expanduser()
+
+
+PositiveFloat = Annotated[float, Field(gt=0)]
+Pair = Annotated[tuple[float, float], Strict(strict=False)]
+Triple = Annotated[tuple[float, float, float], Strict(strict=False)]
+Directory = Annotated[Path, Strict(strict=False), AfterValidator(_beside_the_config)]
+Instant = Annotated[AwareDatetime, Strict(strict=False)]
+Backend = Literal["aravis", "harvesters", "simulated", "replay"]
+
+
+class Section(BaseModel):
+    """A table of the config: no unknown keys, no silent conversions, no NaN."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class SiteSection(Section):
+    """`[site]`."""
+
+    name: str = Field(min_length=1)
+
+
+class CameraSection(Section):
+    """`[camera.main]`, `[camera.sub]`."""
+
+    backend: Backend | None = None
+    serial: str | None = Field(default=None, min_length=1)
+    width_px: int = Field(ge=64, le=65536)
+    height_px: int = Field(ge=64, le=65536)
+    pixel_pitch_um: float = Field(ge=0.5, le=100.0)
+    focal_length_mm: float = Field(ge=1.0, le=20_000.0)
+    pixel_format: PixelFormat = "Mono8"
+    packet_size_bytes: int | None = Field(default=None, ge=576, le=16_384)
+
+    def geometry(self) -> CameraGeometry:
+        """Convert to the core's type."""
+        return CameraGeometry(
+            width_px=self.width_px,
+            height_px=self.height_px,
+            pixel_pitch_um=self.pixel_pitch_um,
+            focal_length_mm=self.focal_length_mm,
+        )
+
+
+class CamerasSection(Section):
+    """`[camera]`."""
+
+    main: CameraSection
+    sub: CameraSection
+
+    def of(self, role: Role) -> CameraSection:
+        """Give one camera's table."""
+        return self.main if role == "main" else self.sub
+
+
+class CirclesSection(Section):
+    """`[target.main]`: white discs on black, centres in WM (x right, y up)."""
+
+    kind: Literal["circles"] = "circles"
+    centres_mm: Annotated[tuple[Pair, ...], Strict(strict=False), Field(min_length=3)]
+    diameter_mm: Annotated[
+        tuple[PositiveFloat, ...],
+        Strict(strict=False),
+        Field(min_length=1),
+        BeforeValidator(_number_to_list),
+    ]
+    distance_mm: float = Field(gt=0, le=1e6)
+    distance_sigma_mm: float = Field(default=20.0, gt=0)
+
+    def target(self) -> CirclesTarget:
+        """Convert to the core's type; one diameter stands for all discs."""
+        count = len(self.centres_mm)
+        diameters = self.diameter_mm * count if len(self.diameter_mm) == 1 else self.diameter_mm
+        return CirclesTarget(
+            centres_mm=np.array(self.centres_mm, dtype=np.float64),
+            diameters_mm=np.array(diameters, dtype=np.float64),
+            distance_mm=self.distance_mm,
+            distance_sigma_mm=self.distance_sigma_mm,
+        )
+
+
+class CheckerboardSection(Section):
+    """`[target.sub]`: a checkerboard; the square at the WS origin is black."""
+
+    kind: Literal["checkerboard"] = "checkerboard"
+    squares_x: int = Field(ge=4, le=1000)
+    squares_y: int = Field(ge=4, le=1000)
+    square_mm: float = Field(gt=0)
+    distance_mm: float = Field(gt=0, le=1e5)
+
+    def target(self) -> CheckerboardTarget:
+        """Convert to the core's type."""
+        return CheckerboardTarget(
+            squares_x=self.squares_x,
+            squares_y=self.squares_y,
+            square_mm=self.square_mm,
+            distance_mm=self.distance_mm,
+        )
+
+
+class TargetsSection(Section):
+    """`[target]`."""
+
+    main: CirclesSection
+    sub: CheckerboardSection
+
+
+class RigSection(Section):
+    """`[rig]`: `T_CM_CS` as drawn, X_CM = R X_CS + t."""
+
+    rotation_main_sub_deg: Annotated[
+        tuple[
+            Annotated[float, Field(ge=-360, le=360)],
+            Annotated[float, Field(ge=-360, le=360)],
+            Annotated[float, Field(ge=-360, le=360)],
+        ],
+        Strict(strict=False),
+    ]
+    rotation_sigma_deg: float = Field(default=1.0, gt=0, le=45.0)
+    offset_main_sub_mm: Triple
+    offset_sigma_mm: float = Field(default=3.0, gt=0, le=1000.0)
+
+    def prior(self) -> RigPrior:
+        """Convert to the core's type."""
+        return RigPrior(
+            rotation_main_sub_deg=np.array(self.rotation_main_sub_deg, dtype=np.float64),
+            rotation_sigma_deg=self.rotation_sigma_deg,
+            offset_main_sub_mm=np.array(self.offset_main_sub_mm, dtype=np.float64),
+            offset_sigma_mm=self.offset_sigma_mm,
+        )
+
+
+class QualitySection(Section):
+    """`[quality]`: what a row must hold to be called good."""
+
+    expected_drift_mrad: float = Field(default=1.0, gt=0, le=100.0)
+    expected_drift_mm: float = Field(default=1.5, gt=0, le=1000.0)
+    max_sigma_mm: float = Field(default=0.5, gt=0)
+    max_skew_ms: float = Field(default=20.0, gt=0)
+
+    def limits(self) -> QualityLimits:
+        """Convert to the core's type."""
+        return QualityLimits(**self.model_dump())
