@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 from numba import njit
+from scipy.special import erf
 
 from core.site import FloatArray, IntArray
 
@@ -25,8 +26,13 @@ _fast = njit(
 
 CORNER_PARAMETERS = 9
 DISC_PARAMETERS = 12
+_MIN_PIXELS = 40
 _SETTLED_PX = 0.003  # the next step would be a hundred times smaller
-_FAR = 3.8  # beyond this many blur widths an edge is flat to 1e-4 of its contrast
+_FAR = 4.0  # beyond this many blur widths an edge is flat to 1e-4 of its contrast
+_NODES_PER_WIDTH = 32.0
+_NODES = np.arange(int(2 * _FAR * _NODES_PER_WIDTH) + 2) / _NODES_PER_WIDTH - _FAR
+_PROFILE = erf(_NODES / math.sqrt(2.0))
+_BELL = math.sqrt(2.0 / math.pi) * np.exp(-0.5 * _NODES**2)
 
 
 @_fast
@@ -65,61 +71,121 @@ def _substitute(factor: FloatArray, vector: FloatArray, n: int) -> None:
 
 @_fast
 def _edge(distance: float, blur: float) -> tuple[float, float, float]:
-    """Edge profile erf(d / (sqrt 2 s)) and its derivatives by d and s."""
+    """Edge profile erf(d / (sqrt 2 s)) and its derivatives by d and s.
+
+    Between the nodes of a table by its own derivatives (cubic Hermite), right to 1e-9.
+    """
     z = distance / blur
     if z > _FAR:
         return 1.0, 0.0, 0.0
     if z < -_FAR:
         return -1.0, 0.0, 0.0
-    bell = 0.7978845608028654 / blur * math.exp(-0.5 * z * z)
-    return math.erf(z * 0.7071067811865476), bell, -bell * z
+    at = (z + _FAR) * _NODES_PER_WIDTH
+    node = int(at)
+    t = at - node
+    step = 1.0 / _NODES_PER_WIDTH
+    here, there = _PROFILE[node], _PROFILE[node + 1]
+    slope_here, slope_there = _BELL[node] * step, _BELL[node + 1] * step
+    rise = there - here
+    bend = 3.0 * rise - 2.0 * slope_here - slope_there
+    twist = slope_here + slope_there - 2.0 * rise
+    value = here + t * (slope_here + t * (bend + t * twist))
+    bell = (slope_here + t * (2.0 * bend + 3.0 * t * twist)) * _NODES_PER_WIDTH / blur
+    return value, bell, -bell * z
 
 
 @_fast
 def _corner_pixel(
-    du: float, dv: float, m: FloatArray, p: FloatArray, limits: FloatArray, row: FloatArray
-) -> tuple[bool, float]:
-    """Model grey value of one pixel and its derivatives (into `row`).
+    u: float, v: float, m: FloatArray, p: FloatArray, frame: FloatArray, rows: FloatArray, at: int
+) -> float:
+    """Model grey value at an offset from the predicted corner; derivatives go into rows[:, at].
 
     m (2, 5): the board's coordinates about the corner, in squares, as polynomials of the
-    pixel's offset; p: shift u, v, offset and its slopes, gain and its slopes, blur.
-    limits: reach in squares, band in px. False where the pixel belongs to a neighbouring corner
-    or is too far from both edges to tell anything.
+    pixel's offset; p: shift u, v, offset and its slopes, gain and its slopes, blur; frame: see
+    `_corner_frame`.
     """
-    reach, band = limits[0], limits[1]
-    u, v = du - p[0], dv - p[1]
-    x = m[0, 0] * u + m[0, 1] * v + m[0, 2] * u * u + m[0, 3] * u * v + m[0, 4] * v * v
-    y = m[1, 0] * u + m[1, 1] * v + m[1, 2] * u * u + m[1, 3] * u * v + m[1, 4] * v * v
-    if abs(x) > reach or abs(y) > reach:
-        return False, 0.0
-    xu, xv = m[0, 0] + 2 * m[0, 2] * u + m[0, 3] * v, m[0, 1] + m[0, 3] * u + 2 * m[0, 4] * v
-    yu, yv = m[1, 0] + 2 * m[1, 2] * u + m[1, 3] * v, m[1, 1] + m[1, 3] * u + 2 * m[1, 4] * v
-    nx, ny = 1.0 / math.sqrt(xu * xu + xv * xv), 1.0 / math.sqrt(yu * yu + yv * yv)
-    if abs(x) * nx > band and abs(y) * ny > band:
-        return False, 0.0
-    ex, ex_d, ex_s = _edge(x * nx, p[8])
-    ey, ey_d, ey_s = _edge(y * ny, p[8])
-    gain = p[5] + p[6] * du + p[7] * dv
+    du, dv = u - p[0], v - p[1]
+    x = du * (m[0, 0] + m[0, 2] * du + m[0, 3] * dv) + dv * (m[0, 1] + m[0, 4] * dv)
+    y = du * (m[1, 0] + m[1, 2] * du + m[1, 3] * dv) + dv * (m[1, 1] + m[1, 4] * dv)
+    ex, ex_d, ex_s = _edge(x * frame[0], p[8])
+    ey, ey_d, ey_s = _edge(y * frame[1], p[8])
+    gain = p[5] + p[6] * u + p[7] * v
     sign = ex * ey
-    by_x, by_y = gain * ey * ex_d * nx, gain * ex * ey_d * ny
-    row[0] = -(by_x * xu + by_y * yu)
-    row[1] = -(by_x * xv + by_y * yv)
-    row[2], row[3], row[4] = 1.0, du, dv
-    row[5], row[6], row[7] = sign, sign * du, sign * dv
-    row[8] = gain * (ey * ex_s + ex * ey_s)
-    return True, p[2] + p[3] * du + p[4] * dv + gain * sign
+    by_x, by_y = gain * ey * ex_d, gain * ex * ey_d
+    rows[0, at] = -(by_x * frame[2] + by_y * frame[4])
+    rows[1, at] = -(by_x * frame[3] + by_y * frame[5])
+    rows[2, at], rows[3, at], rows[4, at] = 1.0, u, v
+    rows[5, at], rows[6, at], rows[7, at] = sign, sign * u, sign * v
+    rows[8, at] = gain * (ey * ex_s + ex * ey_s)
+    return p[2] + p[3] * u + p[4] * v + gain * sign
 
 
 @_fast
-def _accumulate(
-    normal: FloatArray, right: FloatArray, row: FloatArray, miss: float, weight: float
+def _corner_frame(m: FloatArray, frame: FloatArray) -> None:
+    """Px per square along x and y, and the slopes of m's linear part in units of those."""
+    px_x = 1.0 / math.sqrt(m[0, 0] * m[0, 0] + m[0, 1] * m[0, 1])
+    px_y = 1.0 / math.sqrt(m[1, 0] * m[1, 0] + m[1, 1] * m[1, 1])
+    frame[0], frame[1] = px_x, px_y
+    frame[2], frame[3] = m[0, 0] * px_x, m[0, 1] * px_x
+    frame[4], frame[5] = m[1, 0] * px_y, m[1, 1] * px_y
+
+
+@_fast
+def _gather_corner(
+    image: FloatArray,
+    at: FloatArray,
+    half: float,
+    m: FloatArray,
+    frame: FloatArray,
+    limits: FloatArray,
+    pixels: FloatArray,
+) -> int:
+    """Collect (u, v, grey) of the pixels that tell about a corner; their number comes back.
+
+    Not those of a neighbouring corner, nor those too far from both edges, nor saturated ones.
+    """
+    count = 0
+    reach, band_x, band_y = limits[0], limits[1] / frame[0], limits[1] / frame[1]
+    for row in range(
+        max(0, math.floor(at[1] - half)), min(image.shape[0], math.ceil(at[1] + half) + 1)
+    ):
+        v = row - at[1]
+        for column in range(
+            max(0, math.floor(at[0] - half)), min(image.shape[1], math.ceil(at[0] + half) + 1)
+        ):
+            u = column - at[0]
+            x = abs(u * (m[0, 0] + m[0, 2] * u + m[0, 3] * v) + v * (m[0, 1] + m[0, 4] * v))
+            y = abs(u * (m[1, 0] + m[1, 2] * u + m[1, 3] * v) + v * (m[1, 1] + m[1, 4] * v))
+            if x > reach or y > reach or (x > band_x and y > band_y):
+                continue
+            grey = image[row, column]
+            if grey >= limits[2]:
+                continue
+            pixels[0, count], pixels[1, count], pixels[2, count] = u, v, grey
+            count += 1
+    return count
+
+
+@_fast
+def _sum_up(
+    rows: FloatArray,
+    miss: FloatArray,
+    weight: FloatArray,
+    count: int,
+    normal: FloatArray,
+    right: FloatArray,
 ) -> None:
-    """Add one pixel to the normal equations (lower half)."""
-    for a in range(len(row)):
-        scaled = weight * row[a]
-        right[a] += scaled * miss
+    """Weighted normal equations (lower half) of `count` pixels, one dot product an element."""
+    for a in range(len(right)):
+        total = 0.0
+        for i in range(count):
+            total += weight[i] * rows[a, i] * miss[i]
+        right[a] = total
         for b in range(a + 1):
-            normal[a, b] += scaled * row[b]
+            total = 0.0
+            for i in range(count):
+                total += weight[i] * rows[a, i] * rows[b, i]
+            normal[a, b] = total
 
 
 @_fast
@@ -134,23 +200,20 @@ def _pixel_weight(miss: float, scale: float) -> float:
 
 
 @_fast
-def _start_corner(
-    image: FloatArray, box: IntArray, at: FloatArray, m: FloatArray, reach: float, p: FloatArray
-) -> bool:
+def _start_corner(pixels: FloatArray, count: int, m: FloatArray, p: FloatArray) -> bool:
     """Start offset and gain from the mean of the bright and of the dark squares."""
-    total, count = np.zeros(2), np.zeros(2)
-    for v in range(box[1], box[3]):
-        for u in range(box[0], box[2]):
-            du, dv = u - at[0], v - at[1]
-            x, y = m[0, 0] * du + m[0, 1] * dv, m[1, 0] * du + m[1, 1] * dv
-            if abs(x) > reach or abs(y) > reach:
-                continue
-            side = 1 if x * y > 0 else 0
-            total[side] += image[v, u]
-            count[side] += 1.0
-    if count[0] < 8 or count[1] < 8:
+    same, other, n_same, n_other = 0.0, 0.0, 0, 0
+    for i in range(count):
+        u, v = pixels[0, i], pixels[1, i]
+        if (m[0, 0] * u + m[0, 1] * v) * (m[1, 0] * u + m[1, 1] * v) > 0.0:
+            same += pixels[2, i]
+            n_same += 1
+        else:
+            other += pixels[2, i]
+            n_other += 1
+    if n_same < 8 or n_other < 8:
         return False
-    same, other = total[1] / count[1], total[0] / count[0]
+    same, other = same / n_same, other / n_other
     p[2], p[5] = 0.5 * (same + other), 0.5 * (same - other)
     return True
 
@@ -173,49 +236,33 @@ def fit_corners(
     image (h, w) DN; points (n, 2) px; maps (n, 2, 5) squares per px, px^2; half (n,) px;
     scale (n,) DN noise for the pixel weights, 0 for none; limits: reach in squares, band about the
     edges in px, saturation DN. At most `iterations` steps; a last pass evaluates the fit.
-    state (n, 9) in and out: started afresh where the blur is 0. information (n, 2, 2): inverse
+    state (n, 9) out; its blur, in, is where the fit starts. information (n, 2, 2): inverse
     covariance of the shift for unit pixel noise, nuisance parameters eliminated. figures (n, 4):
     weighted residual sum of squares, weight sum, pixels, 1 if the fit is usable.
     """
     n = CORNER_PARAMETERS
-    row, normal, right = np.zeros(n), np.zeros((n, n)), np.zeros(n)
-    box = np.zeros(4, np.int64)
-    height, width = image.shape
+    normal, right, frame = np.zeros((n, n)), np.zeros(n), np.zeros(6)
+    room = int(2 * half.max() + 4) ** 2 if len(half) else 0
+    pixels, rows = np.zeros((3, room)), np.zeros((n, room))
+    miss, weight = np.zeros(room), np.ones(room)
     for k in range(len(points)):
-        at, m, p = points[k], maps[k], state[k]
+        m, p = maps[k], state[k]
         figures[k, :] = 0.0
-        box[0] = max(0, math.floor(at[0] - half[k]))
-        box[1] = max(0, math.floor(at[1] - half[k]))
-        box[2] = min(width, math.ceil(at[0] + half[k]) + 1)
-        box[3] = min(height, math.ceil(at[1] + half[k]) + 1)
-        if p[8] == 0.0:
-            p[:] = 0.0
-            p[8] = 1.0
-            if not _start_corner(image, box, at, m, limits[0], p):
-                continue
+        _corner_frame(m, frame)
+        count = _gather_corner(image, points[k], half[k], m, frame, limits, pixels)
+        if count < _MIN_PIXELS:
+            continue
+        if not _start_corner(pixels, count, m, p):
+            continue
+        weight[:count] = 1.0
         usable, settled = True, False
         for step in range(iterations + 1):
-            normal[:, :] = 0.0
-            right[:] = 0.0
-            residual, weights, pixels = 0.0, 0.0, 0.0
-            for v in range(box[1], box[3]):
-                for u in range(box[0], box[2]):
-                    grey = image[v, u]
-                    if grey >= limits[2]:
-                        continue
-                    inside, model = _corner_pixel(u - at[0], v - at[1], m, p, limits, row)
-                    if not inside:
-                        continue
-                    miss = grey - model
-                    weight = _pixel_weight(miss, scale[k]) if step > 0 else 1.0
-                    _accumulate(normal, right, row, miss, weight)
-                    residual += weight * miss * miss
-                    weights += weight
-                    pixels += 1.0
-            figures[k, 0], figures[k, 1], figures[k, 2] = residual, weights, pixels
-            if pixels < 40.0:
-                usable = False
-                break
+            for i in range(count):
+                model = _corner_pixel(pixels[0, i], pixels[1, i], m, p, frame, rows, i)
+                miss[i] = pixels[2, i] - model
+                if step > 0:
+                    weight[i] = _pixel_weight(miss[i], scale[k])
+            _sum_up(rows, miss, weight, count, normal, right)
             if step == iterations or settled:
                 break
             if not solve_spd(normal, right, n):
@@ -228,6 +275,10 @@ def fit_corners(
             if abs(p[0]) + abs(p[1]) > 0.5 * half[k]:
                 usable = False
                 break
+        for i in range(count):
+            figures[k, 0] += weight[i] * miss[i] * miss[i]
+            figures[k, 1] += weight[i]
+        figures[k, 2] = count
         if usable:
             usable = _reduce(normal, information[k])
         figures[k, 3] = 1.0 if usable else 0.0
@@ -257,36 +308,67 @@ def _reduce(normal: FloatArray, information: FloatArray) -> bool:
 
 
 @_fast
-def _disc_pixel(du: float, dv: float, p: FloatArray, row: FloatArray) -> tuple[float, float]:
-    """Model grey value of one pixel of a disc and its derivatives; also the distance outside.
-
-    p: shift u, v, the symmetric matrix that takes the unit circle to the outline (a, b, c),
-    offset and slopes, gain and slopes, blur.
-    """
-    u, v = du - p[0], dv - p[1]
+def _disc_distance(u: float, v: float, p: FloatArray) -> float:
+    """Signed distance, px, of an offset outside a disc's outline (see `_disc_pixel`)."""
     a, b, c = p[2], p[3], p[4]
     det = a * c - b * b
-    qx, qy = (c * u - b * v) / det, (a * v - b * u) / det
+    du, dv = u - p[0], v - p[1]
+    qx, qy = (c * du - b * dv) / det, (a * dv - b * du) / det
     rho = math.sqrt(qx * qx + qy * qy) + 1e-9
-    # grad rho = A^-T q / rho; the signed distance is (rho - 1) / |grad rho|.
+    hx, hy = (c * qx - b * qy) / (det * rho), (a * qy - b * qx) / (det * rho)
+    return (rho - 1.0) / (math.sqrt(hx * hx + hy * hy) + 1e-12)
+
+
+@_fast
+def _disc_pixel(u: float, v: float, p: FloatArray, rows: FloatArray, at: int) -> float:
+    """Model grey value of one pixel of a disc; its derivatives go into rows[:, at].
+
+    p: shift u, v, the symmetric matrix that takes the unit circle to the outline (a, b, c),
+    offset and slopes, gain and slopes, blur. With q = A^-1 x, rho = |q| and h = grad rho the
+    signed distance is (rho - 1) / |h|; it changes by -(h . dx) / |h| with a shift and by
+    -(h . dA q) / |h| with the outline.
+    """
+    a, b, c = p[2], p[3], p[4]
+    det = a * c - b * b
+    du, dv = u - p[0], v - p[1]
+    qx, qy = (c * du - b * dv) / det, (a * dv - b * du) / det
+    rho = math.sqrt(qx * qx + qy * qy) + 1e-9
     hx, hy = (c * qx - b * qy) / (det * rho), (a * qy - b * qx) / (det * rho)
     norm = math.sqrt(hx * hx + hy * hy) + 1e-12
-    distance = (rho - 1.0) / norm
-    edge, slope, by_blur = _edge(-distance, p[11])
-    half = 0.5 * (1.0 + edge)
-    gain = p[8] + p[9] * du + p[10] * dv
-    # d(distance) = -(h . dx) / norm for a shift, -(h . dA q) / norm for the outline.
-    by_distance = 0.5 * gain * slope / norm
-    row[0], row[1] = by_distance * hx, by_distance * hy
-    row[2], row[3], row[4] = (
-        by_distance * hx * qx,
-        by_distance * (hx * qy + hy * qx),
-        by_distance * hy * qy,
-    )
-    row[5], row[6], row[7] = 1.0, du, dv
-    row[8], row[9], row[10] = half, half * du, half * dv
-    row[11] = 0.5 * gain * by_blur
-    return p[5] + p[6] * du + p[7] * dv + gain * half, distance
+    edge, slope, by_blur = _edge((1.0 - rho) / norm, p[11])
+    inside = 0.5 * (1.0 + edge)
+    gain = p[8] + p[9] * u + p[10] * v
+    by_x, by_y = 0.5 * gain * slope * hx / norm, 0.5 * gain * slope * hy / norm
+    rows[0, at], rows[1, at] = by_x, by_y
+    rows[2, at], rows[3, at], rows[4, at] = by_x * qx, by_x * qy + by_y * qx, by_y * qy
+    rows[5, at], rows[6, at], rows[7, at] = 1.0, u, v
+    rows[8, at], rows[9, at], rows[10, at] = inside, inside * u, inside * v
+    rows[11, at] = 0.5 * gain * by_blur
+    return p[5] + p[6] * u + p[7] * v + gain * inside
+
+
+@_fast
+def _gather_disc(
+    image: FloatArray, at: FloatArray, p: FloatArray, limits: FloatArray, pixels: FloatArray
+) -> int:
+    """Collect (u, v, grey) of the unsaturated pixels near a disc's outline; their number."""
+    count = 0
+    radius = max(p[2], p[4]) + abs(p[3]) + limits[0]
+    for row in range(
+        max(0, int(at[1] + p[1] - radius)), min(image.shape[0], int(at[1] + p[1] + radius) + 2)
+    ):
+        for column in range(
+            max(0, int(at[0] + p[0] - radius)), min(image.shape[1], int(at[0] + p[0] + radius) + 2)
+        ):
+            u, v = column - at[0], row - at[1]
+            grey = image[row, column]
+            if grey >= limits[1] or abs(_disc_distance(u, v, p)) > limits[0]:
+                continue
+            if count == pixels.shape[1]:
+                return count
+            pixels[0, count], pixels[1, count], pixels[2, count] = u, v, grey
+            count += 1
+    return count
 
 
 @_fast
@@ -302,59 +384,42 @@ def fit_discs(
 ) -> None:
     """Fit a bright disc at each point.
 
-    image (h, w) DN; points (n, 2) px; limits: reach beyond the outline px, saturation DN;
+    image (h, w) DN; points (n, 2) px; limits: reach about the outline px, saturation DN;
     scale: DN noise for the pixel weights, 0 for none. state (n, 12) in and out; information
     (n, 2, 2) as in `fit_corners`; figures (n, 5): weighted residual sum of squares, weight sum,
     pixels near the outline, pixels there with weight above a half, 1 if usable.
     """
     n = DISC_PARAMETERS
-    row, normal, right = np.zeros(n), np.zeros((n, n)), np.zeros(n)
-    height, width = image.shape
+    normal, right = np.zeros((n, n)), np.zeros(n)
+    largest = 0.0
     for k in range(len(points)):
-        at, p = points[k], state[k]
+        largest = max(largest, max(state[k, 2], state[k, 4]) + abs(state[k, 3]))
+    room = int(4.0 * math.pi * (largest + limits[0]) * (limits[0] + 1.0)) + 64
+    pixels, rows = np.zeros((3, room)), np.zeros((n, room))
+    miss, weight = np.zeros(room), np.ones(room)
+    for k in range(len(points)):
+        p = state[k]
         figures[k, :] = 0.0
-        usable = True
+        count = _gather_disc(image, points[k], p, limits, pixels)
+        if count < _MIN_PIXELS:
+            continue
+        weight[:count] = 1.0
+        usable, settled = True, False
         for step in range(iterations + 1):
-            normal[:, :] = 0.0
-            right[:] = 0.0
-            residual, weights, near, kept = 0.0, 0.0, 0.0, 0.0
-            radius = max(p[2], p[4]) + abs(p[3]) + limits[0]
-            for v in range(
-                max(0, int(at[1] + p[1] - radius)), min(height, int(at[1] + p[1] + radius) + 2)
-            ):
-                for u in range(
-                    max(0, int(at[0] + p[0] - radius)), min(width, int(at[0] + p[0] + radius) + 2)
-                ):
-                    grey = image[v, u]
-                    if grey >= limits[1]:
-                        continue
-                    model, distance = _disc_pixel(u - at[0], v - at[1], p, row)
-                    if abs(distance) > limits[0]:
-                        continue
-                    miss = grey - model
-                    weight = _pixel_weight(miss, scale) if step > 0 else 1.0
-                    _accumulate(normal, right, row, miss, weight)
-                    residual += weight * miss * miss
-                    weights += weight
-                    near += 1.0
-                    if weight > 0.5:
-                        kept += 1.0
-            figures[k, 0], figures[k, 1], figures[k, 2], figures[k, 3] = (
-                residual,
-                weights,
-                near,
-                kept,
-            )
-            if near < 24.0:
-                usable = False
-                break
-            if step == iterations:
+            for i in range(count):
+                model = _disc_pixel(pixels[0, i], pixels[1, i], p, rows, i)
+                miss[i] = pixels[2, i] - model
+                if step > 0:
+                    weight[i] = _pixel_weight(miss[i], scale)
+            _sum_up(rows, miss, weight, count, normal, right)
+            if step == iterations or settled:
                 break
             if not solve_spd(normal, right, n):
                 usable = False
                 break
             for a in range(n):
                 p[a] += right[a]
+            settled = step > 1 and abs(right[0]) + abs(right[1]) < _SETTLED_PX
             p[11] = min(max(p[11], 0.35), 12.0)
             if not (p[2] > 1.0 and p[4] > 1.0 and p[2] * p[4] > p[3] * p[3]):
                 usable = False
@@ -362,6 +427,12 @@ def fit_discs(
             if abs(p[0]) + abs(p[1]) > max(p[2], p[4]):
                 usable = False
                 break
+        for i in range(count):
+            figures[k, 0] += weight[i] * miss[i] * miss[i]
+            figures[k, 1] += weight[i]
+            if weight[i] > 0.5:
+                figures[k, 3] += 1.0
+        figures[k, 2] = count
         if usable:
             usable = _reduce(normal, information[k])
         figures[k, 4] = 1.0 if usable else 0.0

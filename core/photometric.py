@@ -56,9 +56,10 @@ def locate_corners(
     to_px = np.linalg.inv(maps[:, :, :2])
     half = 1.05 * reach_squares * np.abs(to_px).sum(axis=2).max(axis=1) + 1.0
     limits = np.array([reach_squares, CORNER_BAND_PX, saturation_dn])
-    noise = _typical_noise(grey, points_px, maps, half, limits)
+    noise, blur = _typical(grey, points_px, maps, half, limits)
     n = len(points_px)
     state = np.zeros((n, CORNER_PARAMETERS))
+    state[:, 8] = blur
     information, figures = np.zeros((n, 2, 2)), np.zeros((n, 4))
     scale = np.full(n, noise)
     fit_corners(grey, points_px, maps, half, scale, limits, 6, state, information, figures)
@@ -74,28 +75,21 @@ def locate_corners(
     )
 
 
-def _typical_noise(
+def _typical(
     grey: FloatArray, points: FloatArray, maps: FloatArray, half: FloatArray, limits: FloatArray
-) -> float:
-    """Median rms residual of a sample of corners, DN."""
-    every = max(1, len(points) // 60)
-    some = slice(None, None, every)
-    n = len(points[some])
+) -> tuple[float, float]:
+    """Median rms residual, DN, and blur, px, of a sample of corners."""
+    some = slice(None, None, max(1, len(points) // 60))
+    sample = tuple(np.ascontiguousarray(array[some]) for array in (points, maps, half))
+    n = len(sample[0])
     state, figures = np.zeros((n, CORNER_PARAMETERS)), np.zeros((n, 4))
-    fit_corners(
-        grey,
-        np.ascontiguousarray(points[some]),
-        np.ascontiguousarray(maps[some]),
-        np.ascontiguousarray(half[some]),
-        np.zeros(n),
-        limits,
-        4,
-        state,
-        np.zeros((n, 2, 2)),
-        figures,
-    )
+    state[:, 8] = 1.0
+    fit_corners(grey, *sample, np.zeros(n), limits, 4, state, np.zeros((n, 2, 2)), figures)
     ok = figures[:, 3] > 0
-    return float(np.median(_noise(figures, CORNER_PARAMETERS)[ok])) if ok.any() else 1.0
+    if not ok.any():
+        return 1.0, 1.0
+    noise = _noise(figures, CORNER_PARAMETERS)[ok]
+    return float(np.median(noise)), float(np.median(state[ok, 8]))
 
 
 def _noise(figures: FloatArray, parameters: int) -> FloatArray:
@@ -140,7 +134,7 @@ def locate_discs(
     for k in range(n):
         state[k] = _start_disc(grey, points_px[k], outline_px[k])
     radius = float(np.median(np.trace(outline_px, axis1=1, axis2=2) / 2.0))
-    limits = np.array([float(np.clip(0.35 * radius, 3.0, 12.0)), saturation_dn])
+    limits = np.array([float(np.clip(0.35 * radius, 3.0, 8.0)), saturation_dn])
     points = np.ascontiguousarray(points_px, dtype=float)
     fit_discs(grey, points, limits, 0.0, 8, state, information, figures)
     noise = _noise(figures, DISC_PARAMETERS)
