@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from scipy.special import erf
 
-from core.site import FloatArray, IntArray
+from core.site import FloatArray
 
 # Sums may be reordered (so that they run on vector units), but NaN and infinity stay exact.
 _fast = njit(

@@ -80,11 +80,12 @@ def _typical(
 ) -> tuple[float, float]:
     """Median rms residual, DN, and blur, px, of a sample of corners."""
     some = slice(None, None, max(1, len(points) // 60))
-    sample = tuple(np.ascontiguousarray(array[some]) for array in (points, maps, half))
-    n = len(sample[0])
+    at, around, reach = (np.ascontiguousarray(array[some]) for array in (points, maps, half))
+    n = len(at)
     state, figures = np.zeros((n, CORNER_PARAMETERS)), np.zeros((n, 4))
     state[:, 8] = 1.0
-    fit_corners(grey, *sample, np.zeros(n), limits, 4, state, np.zeros((n, 2, 2)), figures)
+    information = np.zeros((n, 2, 2))
+    fit_corners(grey, at, around, reach, np.zeros(n), limits, 4, state, information, figures)
     ok = figures[:, 3] > 0
     if not ok.any():
         return 1.0, 1.0
