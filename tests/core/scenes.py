@@ -30,14 +30,14 @@ MINUTE = timedelta(minutes=1)
 def small_site(distance_mm: float = 11000.0, **changes: object) -> Site:
     """A site with 6 px/mm on the main target at 11 m and 20 px per square of the board.
 
-    The board is as tall as the sub image and a little narrower, as on a real pier.
+    The board is a little taller than the sub image and narrower, as on a real pier.
     """
     scale = distance_mm / 11000.0
     made = Site(
         main=CameraGeometry(640, 400, 11.72, 800.0),
         sub=CameraGeometry(480, 300, 11.72, 6.0),
         main_target=CirclesTarget(CENTRES_MM * scale, np.full(5, 8.0 * scale), distance_mm, 20.0),
-        sub_target=CheckerboardTarget(22, 17, 2.0, 50.0),
+        sub_target=CheckerboardTarget(22, 15, 2.0, 50.0),
         rig=RigPrior(np.array([0.0, 180.0, 0.0]), 1.0, np.array([0.0, 0.0, -80.0]), 3.0),
         quality=QualityLimits(),
     )

@@ -46,7 +46,8 @@ def test_poses_compose_as_matrices() -> None:
         POSE.apply(REFERENCE.apply(points))
     )
     assert POSE.inverse().apply(POSE.apply(points)) == pytest.approx(points)
-    assert Pose.from_vectors(POSE.rotation_rad, POSE.t_mm).R == pytest.approx(POSE.R)
+    again = Pose.from_vectors(POSE.rotation_rad, POSE.t_mm)
+    assert np.allclose(again.R, POSE.R, rtol=0.0, atol=1e-12)
     assert POSE.vector == pytest.approx([0.09, -0.12, 0.2, -29.0, -34.0, 58.0])
 
 
@@ -139,7 +140,7 @@ def test_deviation_leads_back_to_the_drawing() -> None:
     step = np.array([0.01, -0.02, 0.015, 2.0, -1.0, 3.0, 0.002, -0.001])
     built = RIG.perturbed(step)
     back = built.perturbed(built.deviation_from(RIG))
-    assert back.T_CM_CS.R == pytest.approx(RIG.T_CM_CS.R, abs=1e-12)
+    assert np.allclose(back.T_CM_CS.R, RIG.T_CM_CS.R, rtol=0.0, atol=1e-12)
     assert back.T_CM_CS.t_mm == pytest.approx(RIG.T_CM_CS.t_mm)
     assert (back.depth_mm, back.scale_px_per_mm) == pytest.approx((11012.0, 12.3))
 
