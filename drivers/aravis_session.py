@@ -17,10 +17,16 @@ from drivers.aravis_setup import (
     Applied,
     apply_settings,
     find_device,
+    is_refusal,
     load_aravis,
     read_temperature_c,
 )
-from drivers.errors import DeviceLostError, FrameTimeoutError, IncompleteFrameError
+from drivers.errors import (
+    DeviceLostError,
+    FrameTimeoutError,
+    IncompleteFrameError,
+    SettingRefusedError,
+)
 from drivers.protocols import CameraSettings, CapturedFrame, Image
 
 _log = structlog.get_logger("dcam.drivers")
@@ -33,6 +39,8 @@ POLL_S = 0.25
 """How often a waiting call looks again."""
 SETTLE_S = 0.3
 """A stream with no frame for this long is dry; Aravis keeps a torn frame for 0.2 s."""
+DRAIN_S = 2.0
+"""A stream that does not run dry within this is not waiting for triggers."""
 
 # Discovery fills one table for the whole process; reading it must not meet another's update.
 _discovery = threading.Lock()
@@ -76,7 +84,7 @@ class Session:
             # Without it Aravis sends any number to the camera.
             self._device.set_range_check_policy(self._aravis.RangeCheckPolicy.ENABLE)
             self._take_control()
-            self._camera.stop_acquisition()  # a program that was killed may have left it running
+            self._stop_what_runs()
             self._applied = apply_settings(
                 self._device, self._glib_error, self._serial, self._settings
             )
@@ -115,7 +123,10 @@ class Session:
                     return self._frame(buffer)
             finally:
                 self._stream.push_buffer(buffer)
-        msg = f"camera {self._serial}: no frame within {timeout_s:g} s of waiting"
+        msg = (
+            f"camera {self._serial}: no frame within {timeout_s:g} s; check the link, and that the"
+            " exposure is shorter"
+        )
         raise FrameTimeoutError(msg)
 
     def release(self) -> None:
@@ -142,6 +153,14 @@ class Session:
                 self._device.take_control()
             except self._glib_error:
                 continue
+
+    def _stop_what_runs(self) -> None:
+        """A program that was killed may have left the camera running, its settings locked."""
+        try:
+            self._camera.stop_acquisition()
+        except self._glib_error as error:
+            if not is_refusal(error):  # a camera at rest may decline
+                raise
 
     def _open_stream(self) -> None:
         camera, aravis = self._camera, self._aravis
@@ -183,10 +202,16 @@ class Session:
     def _drain(self, quiet_s: float) -> None:
         """Push back every frame nobody waits for, until none comes for `quiet_s`."""
         stale = 0
+        deadline_s = time.monotonic() + DRAIN_S
         while (buffer := self._stream.timeout_pop_buffer(int(1e6 * quiet_s))) is not None:
             self._is_new(buffer)
             self._stream.push_buffer(buffer)
             stale += 1
+            if time.monotonic() > deadline_s:
+                msg = (
+                    f"camera {self._serial}: TriggerMode = On refused: frames come without trigger"
+                )
+                raise SettingRefusedError(msg)
         if stale:
             _log.info("stale_frames_dropped", serial=self._serial, frames=stale)
 

@@ -232,10 +232,17 @@ def test_a_camera_with_the_older_names_and_no_gamma_works(
             opened(MAIN, gain_db=3.0)
 
 
+def test_a_camera_that_sends_frames_untriggered_is_refused(
+    process: CameraProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivers.aravis_setup._set_trigger", lambda _features: None)
+    with pytest.raises(SettingRefusedError, match="frames come without trigger"):
+        opened(MAIN)
+
+
 def test_a_value_the_camera_rounds_is_logged(
     camera: AravisCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The stock description keeps whole microseconds only."""
     from drivers.aravis_setup import _Features
 
     session = camera._opened.session  # type: ignore[union-attr]
