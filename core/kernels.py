@@ -117,7 +117,7 @@ def _corner_pixel(
     rows[2, at], rows[3, at], rows[4, at] = 1.0, u, v
     rows[5, at], rows[6, at], rows[7, at] = sign, sign * u, sign * v
     rows[8, at] = gain * (ey * ex_s + ex * ey_s)
-    return p[2] + p[3] * u + p[4] * v + gain * sign
+    return float(p[2] + p[3] * u + p[4] * v + gain * sign)
 
 
 @_fast
@@ -344,7 +344,7 @@ def _disc_pixel(u: float, v: float, p: FloatArray, rows: FloatArray, at: int) ->
     rows[5, at], rows[6, at], rows[7, at] = 1.0, u, v
     rows[8, at], rows[9, at], rows[10, at] = inside, inside * u, inside * v
     rows[11, at] = 0.5 * gain * by_blur
-    return p[5] + p[6] * u + p[7] * v + gain * inside
+    return float(p[5] + p[6] * u + p[7] * v + gain * inside)
 
 
 @_fast
