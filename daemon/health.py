@@ -150,7 +150,7 @@ def _coverage(
 ) -> Coverage:
     """Account for the slots of a span; the one in progress does not count yet."""
     schedule = config.schedule
-    since = until = now_utc - timedelta(seconds=schedule.period_s)
+    since = until = now_utc - timedelta(seconds=schedule.period_s - 1)
     if accounted is not None:
         first, last = accounted
         since = max(first, now_utc - span)

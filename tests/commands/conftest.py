@@ -55,6 +55,18 @@ offset_sigma_mm = 3.0
 """The laboratory site on sensors of a third of the pixels; no backend, as for `--from`."""
 
 SEED = 3
+"""Of the frame set; the board's squares are only 13 px wide, as hard as it gets."""
+
+SIMULATED = (
+    CONFIG.replace("width_px", 'backend = "simulated"\nwidth_px')
+    + f"""
+[simulation]
+seed = {SEED}
+start_utc = 2026-03-01T00:00:00Z
+"""
+)
+"""The same site with simulated cameras, head and clock."""
+
 PLAN = FrameSetPlan(intrinsics=8, rig=12, measure=4)
 
 

@@ -17,7 +17,7 @@ from daemon.store.database import open_store, open_store_readonly
 from drivers.frameset import encode_png, read_frame_set
 from drivers.sim.settings import SimSettings
 from drivers.sim.world import World
-from tests.commands.conftest import CONFIG, SEED, Ctl, edit_table
+from tests.commands.conftest import CONFIG, SEED, SIMULATED, Ctl, edit_table
 
 
 def calibrate(ctl: Ctl, bench: Path, state: Path, frames: Path, *more: str):
@@ -210,9 +210,7 @@ def test_distance_in_metres_is_noticed(ctl: Ctl, bench: Path, tmp_path: Path) ->
     assert "target.main.distance_mm" in ran.err
 
 
-def test_database_of_a_newer_version_is_left_alone(
-    ctl: Ctl, bench: Path, tmp_path: Path
-) -> None:
+def test_database_of_a_newer_version_is_left_alone(ctl: Ctl, bench: Path, tmp_path: Path) -> None:
     """Exit code 5 at once, before the calibration is computed."""
     open_store(tmp_path).close()
     with closing(sqlite3.connect(tmp_path / "dcam.db")) as database, database:
@@ -230,9 +228,7 @@ def test_one_source_of_views_must_be_named(ctl: Ctl, bench: Path, sources: list[
     assert "either --from DIR or --pan-tilt" in ran.err
 
 
-def test_pan_tilt_without_a_head_is_a_clear_line(
-    ctl: Ctl, bench: Path, tmp_path: Path
-) -> None:
+def test_pan_tilt_without_a_head_is_a_clear_line(ctl: Ctl, bench: Path, tmp_path: Path) -> None:
     config = tmp_path / "dcam.toml"
     replay = CONFIG.replace("width_px", 'backend = "replay"\nwidth_px')
     config.write_text(f'{replay}\n[replay]\ndirectory = "{bench / "set"}"\n')
@@ -241,12 +237,10 @@ def test_pan_tilt_without_a_head_is_a_clear_line(
     assert "no pan-tilt head for backend replay" in ran.err
 
 
-def test_pan_tilt_takes_views_keeps_them_and_calibrates_on_them(
-    ctl: Ctl, tmp_path: Path
-) -> None:
+def test_pan_tilt_takes_views_keeps_them_and_calibrates_on_them(ctl: Ctl, tmp_path: Path) -> None:
     """The simulated head: lens views, the zero, 21 positions, all below the state directory."""
     config, state = tmp_path / "dcam.toml", tmp_path / "state"
-    config.write_text(CONFIG.replace("width_px", 'backend = "simulated"\nwidth_px'))
+    config.write_text(SIMULATED)
     ran = ctl("--config", config, "--state", state, "calibrate", "--pan-tilt", "--json")
     assert ran.code == 0, ran.err
     result = json.loads(ran.out)

@@ -1,0 +1,298 @@
+"""`dcam-ctl status` judges a site as a Nagios plugin does; `gaps` and `export` read beside it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.calibration import CalibrationReport
+from core.results import Displacement, Flag, Measurement, Reason, RigMotion
+from daemon.config import load_config
+from daemon.lock import sole_writer
+from daemon.store.database import Store, open_store
+from daemon.store.records import CalibrationRecord, GapCause, Mark, MeasurementRecord
+from tests.commands.conftest import SIMULATED, Ctl, Ran
+
+START = datetime(2026, 3, 1, tzinfo=UTC)
+MINUTE = timedelta(minutes=1)
+GOOD = Measurement(
+    Flag.GOOD,
+    (),
+    Displacement(np.array([0.5, -1.25]), np.diag([0.01, 0.04])),
+    Displacement(np.array([7.0, 9.0]), np.diag([0.01, 0.04])),
+    RigMotion(np.zeros(3), np.zeros(3), np.eye(6)),
+)
+DARK = Measurement(Flag.BAD, (Reason.TOO_DARK,), None, None, None)
+
+
+class Site:
+    """A state with an hour of rows, to be changed by a test and looked at from outside."""
+
+    def __init__(self, directory: Path, ctl: Ctl) -> None:
+        self._ctl = ctl
+        self.config = directory / "dcam.toml"
+        self.state = directory / "state"
+        self.config.write_text(SIMULATED)
+        self.end = START
+
+    def write(self, change: Callable[[Store], None]) -> None:
+        """Change the database."""
+        with open_store(self.state) as store:
+            change(store)
+
+    def measure(self, minutes: int, measurement: Measurement = GOOD) -> None:
+        """Add a row a minute."""
+        hash_ = load_config(self.config).config_hash()
+        for _ in range(minutes):
+            record = MeasurementRecord(self.end, measurement, hash_, "1.0")
+            self.write(lambda store, row=record: store.add_measurement(row))
+            self.end += MINUTE
+
+    def miss(self, minutes: int, cause: GapCause) -> None:
+        """Add a gap."""
+        first, self.end = self.end, self.end + minutes * MINUTE
+        last = self.end - MINUTE
+        self.write(lambda store: store.record_gap(first, last, cause, "why", period_s=60) or None)
+
+    def calibrate(self, *, passed: bool = True, config_hash: str | None = None) -> None:
+        """Add an active calibration."""
+        record = CalibrationRecord(
+            created_utc=START,
+            content={"method": "rigid"},
+            report=CalibrationReport(passed, ("the verdict",), {}),
+            config_hash=config_hash or load_config(self.config).config_hash(),
+            version="1.0",
+        )
+        self.write(lambda store: store.add_calibration(record, activate=True) and None)
+
+    def ctl(self, *arguments: object) -> Ran:
+        """Run a command on this site."""
+        return self._ctl("--config", self.config, "--state", self.state, *arguments)
+
+    def status(self, late: timedelta = timedelta(seconds=30), *, running: bool = True) -> Ran:
+        """`status --json` so long after the last slot, beside a daemon that holds the lock."""
+        at = (self.end - MINUTE + late).isoformat()
+        if not running:
+            return self.ctl("status", "--json", "--at", at)
+        with sole_writer(self.state):
+            return self.ctl("status", "--json", "--at", at)
+
+    def levels(self, ran: Ran) -> dict[str, str]:
+        """The level of each item."""
+        return {item["name"]: item["level"] for item in json.loads(ran.out)["items"]}
+
+
+@pytest.fixture
+def site(tmp_path: Path, ctl: Ctl) -> Site:
+    """A calibrated site with ten good rows."""
+    made = Site(tmp_path, ctl)
+    made.calibrate()
+    made.measure(10)
+    return made
+
+
+def test_a_site_that_runs_is_ok(site: Site) -> None:
+    ran = site.status()
+    assert ran.code == 0, ran.out
+    document = json.loads(ran.out)
+    assert document["schema"] == 1
+    assert document["level"] == "ok"
+    assert document["last"]["x_mm"] == 0.5
+    assert document["last"]["slot_utc"] == "2026-03-01T00:09:00Z"
+    assert document["coverage_24h"]["expected"] == document["coverage_24h"]["good"] == 10
+    assert document["calibration"] == {
+        "id": 1,
+        "created_utc": "2026-03-01T00:00:00Z",
+        "method": "rigid",
+        "passed": True,
+        "fits_config": True,
+    }
+
+
+@pytest.mark.parametrize(
+    ("late", "level", "code"),
+    [
+        (timedelta(minutes=2), "ok", 0),
+        (timedelta(minutes=4), "warning", 1),
+        (timedelta(minutes=30), "critical", 2),
+    ],
+)
+def test_age_of_the_last_row_counts(site: Site, late: timedelta, level: str, code: int) -> None:
+    site.measure(120)
+    ran = site.status(late)
+    assert site.levels(ran)["measurement"] == level
+    assert ran.code == code
+
+
+def test_rows_without_a_good_value_are_noticed(site: Site) -> None:
+    """Three hours of night: data come, but nothing that can be used."""
+    site.measure(180, DARK)
+    ran = site.status()
+    assert site.levels(ran)["measurement"] == "ok"
+    assert site.levels(ran)["last good value"] == "warning"
+    assert "too_dark" in ran.out
+
+
+def test_a_row_from_the_future_is_critical(site: Site) -> None:
+    ran = site.status(timedelta(minutes=-5))
+    assert site.levels(ran)["measurement"] == "critical"
+    assert "is the clock wrong?" in ran.out
+    assert ran.code == 2
+
+
+def test_a_lost_camera_is_critical_until_it_is_back(site: Site) -> None:
+    site.measure(200)
+    site.miss(2, GapCause.CAMERA_LOST)
+    lost = site.status()
+    assert site.levels(lost)["cameras"] == "critical"
+    site.measure(1)
+    back = site.status()
+    assert site.levels(back)["cameras"] == "ok"
+    assert "camera_lost 2026-03-01T03:30:00Z, 2 slot(s)" in back.out
+
+
+def test_low_coverage_is_a_warning(site: Site) -> None:
+    site.miss(3, GapCause.OVERRUN)
+    site.measure(7)
+    ran = site.status()
+    assert site.levels(ran)["coverage 24 h"] == "warning"
+    assert json.loads(ran.out)["coverage_24h"]["gaps"] == {"overrun": 3}
+
+
+def test_slots_that_nothing_accounts_for_are_counted(site: Site) -> None:
+    ran = site.status(timedelta(minutes=5))
+    assert json.loads(ran.out)["coverage_24h"]["unaccounted"] == 4
+
+
+@pytest.mark.parametrize(
+    ("marks", "level", "told"),
+    [
+        ({}, "warning", "never ran here"),
+        ({Mark.HEARTBEAT_UTC: START.isoformat()}, "critical", "died after 2026-03-01T00:00:00Z"),
+        (
+            {Mark.HEARTBEAT_UTC: START.isoformat(), Mark.CLEAN_STOP_UTC: START.isoformat()},
+            "warning",
+            "stopped in order",
+        ),
+    ],
+)
+def test_a_daemon_that_does_not_run_is_told_apart(
+    site: Site, marks: dict[Mark, str], level: str, told: str
+) -> None:
+    for mark, value in marks.items():
+        site.write(lambda store, m=mark, v=value: store.set_mark(m, v))
+    ran = site.status(running=False)
+    assert site.levels(ran)["daemon"] == level
+    assert told in ran.out
+
+
+def test_looking_does_not_take_the_lock_from_a_daemon_that_starts(site: Site) -> None:
+    """The lock can be taken at any time beside a status; it is only read about."""
+    site.status(running=False)
+    with sole_writer(site.state):
+        assert site.levels(site.ctl("status", "--json", "--at", site.end))["daemon"] == "ok"
+
+
+def test_no_calibration_is_critical(tmp_path: Path, ctl: Ctl) -> None:
+    site = Site(tmp_path, ctl)
+    site.measure(1, DARK)
+    ran = site.status()
+    assert site.levels(ran)["calibration"] == "critical"
+    assert "run dcam-ctl calibrate" in ran.out
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [({"config_hash": "0" * 64}, "config has changed"), ({"passed": False}, "did not pass")],
+)
+def test_a_doubtful_calibration_is_a_warning(site: Site, change, told: str) -> None:
+    site.calibrate(**change)
+    ran = site.status()
+    assert site.levels(ran)["calibration"] == "warning"
+    assert told in ran.out
+
+
+def test_without_a_database_it_is_unknown(ctl: Ctl, tmp_path: Path) -> None:
+    ran = Site(tmp_path, ctl).ctl("status")
+    assert ran.code == 3
+    assert ran.out.startswith("DCAM UNKNOWN - ")
+
+
+def test_a_newer_database_is_unknown_and_a_damaged_one_critical(site: Site) -> None:
+    database = site.state / "dcam.db"
+    with closing(sqlite3.connect(database)) as connection, connection:
+        connection.execute("UPDATE alembic_version SET version_num = '9999'")
+    newer = site.ctl("status", "--json")
+    assert (newer.code, json.loads(newer.out)["level"]) == (3, "unknown")
+    assert site.ctl("gaps").code == 5
+    database.write_bytes(b"not a database at all" * 1000)
+    damaged = site.ctl("status")
+    assert damaged.code == 2
+    assert damaged.out.startswith("DCAM CRITICAL - ")
+
+
+def test_first_line_is_what_a_monitoring_system_shows(site: Site) -> None:
+    """One line with verdict, value and figures; then a plain table, because this is no terminal."""
+    with sole_writer(site.state):
+        ran = site.ctl("status", "--at", "2026-03-01T00:09:30Z")
+    first, header, *rest = ran.out.splitlines()
+    text, figures = first.split(" | ")
+    assert text.startswith("DCAM OK - bench: x +0.500 ± 0.100 mm, y -1.250 ± 0.200 mm, 30 s ago")
+    assert "age=30s" in figures.split()
+    assert "coverage_24h=100.00%" in figures.split()
+    assert header.split() == ["what", "state", "as", "of", "2026-03-01T00:09:30Z"]
+    assert len(rest) == 10
+    assert "\x1b" not in ran.out
+    assert "─" not in ran.out
+
+
+def test_gaps_are_listed_with_slots_and_cause(site: Site) -> None:
+    site.miss(3, GapCause.POWER_LOSS)
+    site.measure(1)
+    site.miss(2, GapCause.CAMERA_LOST)
+    ran = site.ctl("gaps", "--json")
+    assert ran.code == 0
+    document = json.loads(ran.out)
+    assert document["schema"] == 1
+    assert [(gap["start_utc"], gap["end_utc"]) for gap in document["gaps"]] == [
+        ("2026-03-01T00:10:00Z", "2026-03-01T00:12:00Z"),
+        ("2026-03-01T00:14:00Z", "2026-03-01T00:15:00Z"),
+    ]
+    assert [(gap["slots"], gap["cause"]) for gap in document["gaps"]] == [
+        (3, "power_loss"),
+        (2, "camera_lost"),
+    ]
+    later = site.ctl("gaps", "--since", "2026-03-01T00:13:00Z")
+    assert "power_loss" not in later.out
+    assert "1 gap(s), 2 slots missed" in later.out
+
+
+def test_no_gaps_is_said(site: Site) -> None:
+    assert site.ctl("gaps").out == "no gaps\n"
+
+
+def test_export_writes_a_span_to_a_file_or_stdout(site: Site, tmp_path: Path) -> None:
+    span = ("--since", "2026-03-01T00:02:00Z", "--until", "2026-03-01T00:05:00+00:00")
+    ran = site.ctl("export", *span)
+    rows = list(csv.DictReader(io.StringIO(ran.out)))
+    assert [row["slot_utc"] for row in rows] == [f"2026-03-01T00:0{k}:00Z" for k in (2, 3, 4)]
+    assert {row["x_mm"] for row in rows} == {"0.5"}
+    assert site.ctl("export", *span, "--output", tmp_path / "out.csv").out == ""
+    assert (tmp_path / "out.csv").read_text() == ran.out
+
+
+def test_a_format_of_a_later_part_is_not_offered(site: Site) -> None:
+    assert site.ctl("export", "--format", "parquet").code == 2
+
+
+def test_a_copied_state_can_be_read_without_its_config(site: Site, ctl: Ctl) -> None:
+    assert ctl("--state", site.state, "gaps").code == 0
