@@ -11,13 +11,13 @@ from core.errors import TargetNotFoundError
 from core.frames import GreyImage
 from core.lattice import NamedLattice, join, name_on_board
 from core.lens import Lens
-from core.photometric import CornerFits, as_float, locate_corners
+from core.photometric import CORNER_REACH_SQUARES, CornerFits, as_float, locate_corners
 from core.pose import Pose
-from core.resection import BoardView, resect
+from core.resection import MIN_CORNERS, BoardView, resect
 from core.saddles import find_saddles
 from core.site import BoolArray, FloatArray, IntArray
 
-_FIRST_REACH_SQUARES = 0.3
+_FIRST_REACH_PX, _FIRST_REACH_SQUARES = 7.0, 0.3
 """Small at first: without the lens, the edges are only straight near the corner."""
 _STENCIL_SQUARES = 0.5
 
@@ -45,7 +45,9 @@ def detect_board(image: GreyImage, board: Board) -> LocatedBoard:
     named = _find(grey, board, None)
     maps = np.zeros((len(named.index), 2, 5))
     maps[:, :, :2] = np.linalg.inv(named.steps_px)
-    fits = locate_corners(grey, image.saturation_dn, named.points_px, maps, _FIRST_REACH_SQUARES)
+    square_px = float(np.median(np.linalg.norm(named.steps_px, axis=1)))
+    reach = float(np.clip(_FIRST_REACH_PX / square_px, _FIRST_REACH_SQUARES, CORNER_REACH_SQUARES))
+    fits = locate_corners(grey, image.saturation_dn, named.points_px, maps, reach)
     return _located(named.index, fits, certain=named.certain)
 
 
@@ -101,8 +103,11 @@ def _find(grey: FloatArray, board: Board, expected_px: FloatArray | None) -> Nam
 def _located(index: IntArray, fits: CornerFits, *, certain: bool) -> LocatedBoard:
     usable = fits.usable & _alike(fits)
     view = BoardView(index, fits.points_px, fits.covariance_px2).select(usable)
-    if not usable.any():
-        msg = "sub target: no corner is clear enough to measure"
+    if usable.sum() < MIN_CORNERS:
+        msg = (
+            f"sub target: {int(usable.sum())} of {len(index)} corners are clear enough to "
+            f"measure, {MIN_CORNERS} are needed"
+        )
         raise TargetNotFoundError(msg)
     return LocatedBoard(
         view,
