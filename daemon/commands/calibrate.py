@@ -19,7 +19,6 @@ from daemon.devices import open_clock, open_simulated_rig, require_backend
 from daemon.errors import ExitCode, HardwareError, UsageError
 from daemon.lock import sole_writer
 from daemon.store.database import open_store
-from drivers.clock import SteppedClock
 
 BEFORE_THE_STORY = timedelta(minutes=10)
 """A simulated rig is calibrated before anything happens to it: until then both targets rest."""
@@ -87,9 +86,7 @@ def capture_views(config: Config, state: Path) -> tuple[Path, datetime]:
     if backend != "simulated":
         msg = f"no pan-tilt head for backend {backend} in this version; use --from DIR"
         raise HardwareError(msg)
-    clock = open_clock(config)
-    if isinstance(clock, SteppedClock):
-        clock.set_utc(config.simulation.start_utc - BEFORE_THE_STORY)
+    clock = open_clock(config, begin_utc=config.simulation.start_utc - BEFORE_THE_STORY)
     with sole_writer(state, "dcam-ctl calibrate"):
         devices = open_simulated_rig(config, clock)
         rig = Rig(config.site(), devices.source, devices.head, clock, devices.world.hold_board)
