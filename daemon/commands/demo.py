@@ -56,7 +56,7 @@ def command(output: Path | None) -> None:
     a while, insects sit on the targets, it snows, night comes. Everything else is the real
     thing: the commands, the daemon, the database.
     """
-    has_figure = _can_draw()
+    has_figure = can_draw()
     directory = prepared(output)
     site = find_installation(directory / CONFIG, directory / "state")
     say(f"1. Calibration with the pan-tilt head, {site.config.name} site in {directory}")
@@ -76,7 +76,8 @@ def command(output: Path | None) -> None:
         tell(site, store, directory / FIGURE if has_figure else None)
 
 
-def _can_draw() -> bool:
+def can_draw() -> bool:
+    """Tell whether a figure can be had; if not, say on stderr how to change that."""
     try:
         require_matplotlib()
     except MissingLibraryError as error:
