@@ -31,18 +31,16 @@ def measure_pair(
     site: Site,
     calibration: Calibration,
     skew_s: float | None = None,
-    known: tuple[Reason, ...] = (),
 ) -> Measurement:
     """Measure one pair.
 
     Discs, board, pose, rig motion, false displacement, displacement, verdict. Never raises for
-    what an image shows: None means there is no usable image, and `known` are reasons that the
-    caller already has (an unreadable file, say).
+    what an image shows; None means there is no image.
     """
     setup = calibration.setup
     main_seen, reasons = _see_main(main, site, setup)
     sub_seen, sub_reasons = _see_sub(sub, site, setup)
-    reasons = [*known, *reasons, *sub_reasons]
+    reasons += sub_reasons
     raw = corrected = motion = None
     if main_seen is not None:
         raw, shift = main_seen.raw, main_seen.residual_px

@@ -13,6 +13,7 @@ from pathlib import Path
 import structlog
 
 from core.calibration import Calibration
+from core.errors import CalibrationError
 from core.frames import GreyImage
 from core.measurement import measure_pair
 from core.results import Flag, Measurement, Reason
@@ -192,8 +193,8 @@ def active_calibration(store: Store) -> ActiveCalibration | None:
         return None
     try:
         return ActiveCalibration(record.id, record.calibration)
-    except (KeyError, TypeError, ValueError) as error:
-        _log.error("calibration_unreadable", calibration=record.id, error=repr(error))
+    except CalibrationError as error:
+        _log.error("calibration_unreadable", calibration=record.id, error=str(error))
         return None
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 
 from core.calibration import Calibration
+from core.errors import CalibrationError
 from core.results import Flag, Measurement, Reason
 from core.site import Site
 from daemon.commands.options import (
@@ -124,8 +125,8 @@ def read_calibration(record: CalibrationRecord) -> Calibration:
     """Give a stored calibration. Raises WorkFailedError when it cannot be read."""
     try:
         return record.calibration
-    except (KeyError, TypeError, ValueError) as error:
-        msg = f"calibration {record.id} cannot be read ({error!r}); calibrate again"
+    except CalibrationError as error:
+        msg = f"calibration {record.id} in the database: {error}"
         raise WorkFailedError(msg) from error
 
 
