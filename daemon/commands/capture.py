@@ -11,13 +11,14 @@ import click
 from core.frames import GreyImage
 from core.results import Measurement
 from daemon.commands.options import Options, common_options, json_option, pass_options
-from daemon.commands.output import print_json, result_fields, say, utc_text, value_text
+from daemon.commands.output import print_json, result_fields, say
 from daemon.devices import open_clock, open_pair_source
 from daemon.errors import ExitCode
 from daemon.lock import sole_writer
 from daemon.pipeline import ActiveCalibration, active_calibration, measure_images
 from daemon.store.database import open_store_readonly
 from daemon.store.errors import DatabaseMissingError
+from daemon.wording import utc_text, value_text
 from drivers.protocols import CapturedFrame, CapturedPair
 
 

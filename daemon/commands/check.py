@@ -16,7 +16,7 @@ from core.compensation import affine_error_px
 from core.site import Site
 from daemon.commands.capture import frame_text
 from daemon.commands.options import Options, common_options, json_option, pass_options
-from daemon.commands.output import bytes_text, print_json, print_table
+from daemon.commands.output import print_json, print_table
 from daemon.config import Config, Installation
 from daemon.devices import open_clock, open_pair_source, require_backend
 from daemon.errors import ConfigError, DcamError, ExitCode, exit_code_of, lines_of
@@ -24,6 +24,7 @@ from daemon.health import clock_is_synchronised, dcamd_runs, has_stepped_clock
 from daemon.lock import sole_writer
 from daemon.store.database import open_store_readonly
 from daemon.store.errors import DatabaseMissingError, StoreError
+from daemon.wording import bytes_text
 from drivers.errors import DriverError
 
 LOW_DISK_BYTES = 20e9

@@ -23,8 +23,8 @@ from core.site import FloatArray
 from daemon.commands.calibrate import calibrate_and_store, capture_views
 from daemon.commands.gaps import print_gaps
 from daemon.commands.options import common_options
-from daemon.commands.output import note, print_table, progress, say, span_text
-from daemon.commands.status import coverage_text, judge, print_status
+from daemon.commands.output import note, print_table, progress, say
+from daemon.commands.status import print_status
 from daemon.config import Installation, find_installation
 from daemon.devices import open_clock, open_simulated_rig
 from daemon.errors import UsageError, WorkFailedError
@@ -32,6 +32,8 @@ from daemon.figure import GapSpan, draw, require_matplotlib, series_of
 from daemon.health import look
 from daemon.store.database import Store, open_store_readonly
 from daemon.store.records import GapRecord, MeasurementRecord
+from daemon.verdict import judge
+from daemon.wording import coverage_text, span_text
 from drivers.errors import MissingLibraryError
 
 SLOTS = 72

@@ -1,0 +1,180 @@
+"""The verdict on a site: one level for each thing that can go wrong, as Nagios knows them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+from daemon.health import CAMERA_CAUSES, DAY, Facts
+from daemon.store.records import Coverage
+from daemon.wording import bytes_text, coverage_text, span_text, utc_text, value_text
+
+LATE_SLOTS, LOST_SLOTS = 3, 10
+"""Periods without a row before that is a warning, and critical."""
+STALE_GOOD_S, LOST_GOOD_S = 2 * 3600.0, 24 * 3600.0
+"""Time without a good value before that is a warning, and critical: a dark night warns."""
+LOW_COVERAGE, LOST_COVERAGE = 0.95, 0.5
+LOW_DISK_DAYS, FULL_DISK_DAYS = 7.0, 1.0
+
+
+class Level(IntEnum):
+    """As Nagios plugins exit."""
+
+    OK = 0
+    WARNING = 1
+    CRITICAL = 2
+    UNKNOWN = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One thing looked at."""
+
+    name: str
+    level: Level
+    text: str
+
+
+def worst(items: list[Item]) -> Level:
+    """The worst of the levels known; what is unknown counts only if nothing is wrong."""
+    bad = [item.level for item in items if item.level in {Level.WARNING, Level.CRITICAL}]
+    return max(bad, default=max((item.level for item in items), default=Level.UNKNOWN))
+
+
+def judge(facts: Facts) -> list[Item]:
+    """Give each thing its level and a line."""
+    return [
+        _measurement(facts),
+        _good_value(facts),
+        _daemon(facts),
+        _cameras(facts),
+        _calibration(facts),
+        _coverage("coverage 24 h", facts.coverage_24h),
+        _coverage("coverage 30 d", facts.coverage_30d),
+        _gaps(facts),
+        _disk(facts),
+        _clock(facts),
+    ]
+
+
+def _measurement(facts: Facts) -> Item:
+    name = "measurement"
+    if facts.last is None:
+        return Item(name, Level.WARNING, "none yet; start dcamd")
+    slot_utc = facts.last.slot_utc
+    age_s = (facts.now_utc - slot_utc).total_seconds()
+    text = f"{value_text(facts.last.measurement)}, {span_text(age_s)} ago ({utc_text(slot_utc)})"
+    if age_s < 0:
+        return Item(name, Level.CRITICAL, f"{text}: in the future, is the clock wrong?")
+    return Item(name, _by_age(age_s / facts.period_s, LATE_SLOTS, LOST_SLOTS), text)
+
+
+def _good_value(facts: Facts) -> Item:
+    name = "last good value"
+    if facts.last is None:
+        return Item(name, Level.WARNING, "none yet")
+    if facts.last_good is None:
+        return Item(name, Level.CRITICAL, "none in 30 days; see export for the reasons")
+    age_s = (facts.now_utc - facts.last_good.slot_utc).total_seconds()
+    return Item(name, _by_age(age_s, STALE_GOOD_S, LOST_GOOD_S), f"{span_text(age_s)} ago")
+
+
+def _by_age(age: float, warning: float, critical: float) -> Level:
+    if age > critical:
+        return Level.CRITICAL
+    return Level.WARNING if age > warning else Level.OK
+
+
+def _daemon(facts: Facts) -> Item:
+    daemon = facts.daemon
+    if daemon.running:
+        return Item("daemon", Level.OK, "running")
+    if daemon.running is None:
+        return Item("daemon", Level.UNKNOWN, "cannot be told: /proc/locks is not readable")
+    if daemon.clean_stop_utc is not None:
+        return Item("daemon", Level.WARNING, f"stopped in order, {utc_text(daemon.clean_stop_utc)}")
+    if daemon.heartbeat_utc is None:
+        return Item("daemon", Level.WARNING, "never ran here; systemctl start dcamd")
+    text = (
+        f"not running, died after {utc_text(daemon.heartbeat_utc)}; journalctl -u dcamd tells why"
+    )
+    return Item("daemon", Level.CRITICAL, text)
+
+
+def _cameras(facts: Facts) -> Item:
+    """A camera is lost as long as the newest thing known of it is a gap."""
+    lost = [gap for gap in facts.gaps if gap.cause in CAMERA_CAUSES]
+    if not lost:
+        return Item("cameras", Level.OK, _temperatures(facts) or "no loss in 30 days")
+    gap = lost[-1]
+    what = f"{gap.cause.value} {utc_text(gap.first_slot_utc)}, {gap.slots} slot(s): {gap.detail}"
+    if facts.last is None or facts.last.slot_utc < gap.first_slot_utc:
+        return Item("cameras", Level.CRITICAL, what)
+    return Item("cameras", Level.OK, f"both there; last loss: {what}")
+
+
+def _temperatures(facts: Facts) -> str:
+    if facts.last is None:
+        return ""
+    cameras = (("main", facts.last.main_camera), ("sub", facts.last.sub_camera))
+    known = [f"{n} {c.temperature_c:.1f} °C" for n, c in cameras if c.temperature_c is not None]
+    return f"no loss in 30 days, {', '.join(known)}" if known else ""
+
+
+def _calibration(facts: Facts) -> Item:
+    record = facts.calibration
+    if record is None:
+        return Item("calibration", Level.CRITICAL, "none active; run dcam-ctl calibrate")
+    age_s = (facts.now_utc - record.created_utc).total_seconds()
+    text = f"{record.id}, method {record.content.get('method')}, {span_text(age_s)} old"
+    if record.config_hash != facts.config_hash:
+        text += "; the config has changed since: calibrate again"
+    elif not record.report.passed:
+        text += f"; accepted although it did not pass: {record.report.lines[0]}"
+    else:
+        return Item("calibration", Level.OK, text)
+    return Item("calibration", Level.WARNING, text)
+
+
+def _coverage(name: str, coverage: Coverage) -> Item:
+    if not coverage.expected:
+        return Item(name, Level.OK, "no slot yet")
+    share = coverage.measured / coverage.expected
+    level = Level.OK if share >= LOW_COVERAGE else Level.WARNING
+    return Item(name, level if share >= LOST_COVERAGE else Level.CRITICAL, coverage_text(coverage))
+
+
+def _gaps(facts: Facts) -> Item:
+    recent = [gap for gap in facts.gaps if gap.last_slot_utc >= facts.now_utc - DAY]
+    slots = sum(gap.slots for gap in recent)
+    if not facts.gaps:
+        return Item("gaps", Level.OK, "none in 30 days")
+    last = facts.gaps[-1]
+    text = (
+        f"{len(recent)} in 24 h ({slots} slots), {len(facts.gaps)} in 30 d; "
+        f"last: {last.cause.value} until {utc_text(last.last_slot_utc)}"
+    )
+    return Item("gaps", Level.OK, text)
+
+
+def _disk(facts: Facts) -> Item:
+    disk = facts.disk
+    text = f"{bytes_text(disk.free_bytes)} of {bytes_text(disk.total_bytes)} free"
+    if disk.days_left is None:
+        return Item("disk", Level.OK, text)
+    text += f", {disk.days_left:.0f} days at the present rate"
+    if disk.days_left < LOW_DISK_DAYS:
+        level = Level.CRITICAL if disk.days_left < FULL_DISK_DAYS else Level.WARNING
+        return Item("disk", level, f"{text}: free some space")
+    return Item("disk", Level.OK, text)
+
+
+def _clock(facts: Facts) -> Item:
+    if facts.simulated_clock:
+        return Item("clock", Level.OK, "simulated")
+    if facts.clock_synchronised is None:
+        return Item("clock", Level.UNKNOWN, "the kernel does not tell whether it is synchronised")
+    if not facts.clock_synchronised:
+        text = "not synchronised; check chronyc tracking or timedatectl"
+        return Item("clock", Level.WARNING, text)
+    return Item("clock", Level.OK, "synchronised")
