@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import shutil
 import sqlite3
+import subprocess
+import sys
 from contextlib import closing
 from pathlib import Path
 
@@ -255,4 +257,29 @@ def test_pan_tilt_takes_views_keeps_them_and_calibrates_on_them(ctl: Ctl, tmp_pa
         *("--config", config, "--state", state, "calibrate", "--from", tmp_path / "again"),
         "--json",
     )
-    assert json.loads(again.out)["figures"] == result["figures"]
+    for name in ("sub_rms_px", "main_rms_px", "depth_mm"):
+        figure = json.loads(again.out)["figures"][name]
+        assert figure == pytest.approx(result["figures"][name], rel=1e-9)
+
+
+@pytest.mark.parametrize(("answer", "active"), [("n", False), ("", True)])
+def test_on_a_terminal_it_asks(bench: Path, tmp_path: Path, answer: str, active: bool) -> None:
+    """Run under script(1), which gives the program a terminal."""
+    state = tmp_path / "state"
+    command = (
+        f"{sys.executable} -m daemon.ctl --config {bench / 'dcam.toml'} --state {state} "
+        f"calibrate --from {bench / 'set'}"
+    )
+    ran = subprocess.run(
+        ["script", "--quiet", "--return", "--command", command, "/dev/null"],
+        cwd=Path(__file__).parents[2],
+        input=f"{answer}\n",
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stdout
+    assert "Make it the active calibration?" in ran.stdout
+    with open_store_readonly(state) as store:
+        assert (store.active_calibration() is not None) == active
+        assert len(store.calibrations()) == 1
