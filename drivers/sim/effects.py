@@ -1,4 +1,4 @@
-"""What weather and animals do to an image; each draws on it in place, before the lens blurs it."""
+"""What weather and animals do to an image; each draws on it in place, blurred as the scene is."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ SHIFT = 4
 """Fractional bits of OpenCV's drawing coordinates."""
 
 SUBPIXELS = 16.0
+
+BLUR_PX = 0.6
+"""Gaussian sigma of what is drawn, about that of the lens in the image centre."""
 
 INSECT_GREY = 0.03
 SNOW_GREY = 0.8
@@ -66,7 +69,8 @@ def draw_glare(image: Float32Array, rng: np.random.Generator) -> None:
 
 
 def _cover(image: Float32Array, mask: np.ndarray, grey: float) -> None:
-    opacity = mask.astype(np.float32) / np.float32(255.0)
+    soft = cv2.GaussianBlur(mask, (5, 5), BLUR_PX)
+    opacity = soft.astype(np.float32) / np.float32(255.0)
     image += opacity * (np.float32(grey) - image)
 
 

@@ -1,47 +1,46 @@
 """The inner loops of the renderer: rays of a distorted lens, a checkerboard, discs on a plate.
 
-Edges are anti-aliased by supersampling. Around each pixel that an edge comes near, the scene is
-looked up at the points of a fixed pattern, spread as pixel integration and a first half pixel of
-blur would spread the light; `render.py` adds the rest of the blur. No error function anywhere: the
-estimators use one, and the simulation must not share their model.
+Every pixel is the mean of the scene under its response, exact where edges are straight over a few
+pixels: the share of an edge is tabulated, that of two that cross is an integral along both. All
+compiled code is in this file: Numba's cache would not see that a function elsewhere has changed.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from core.site import FloatArray
+from core.site import FloatArray, IntArray
 
 Float32Array = NDArray[np.float32]
 
-PATTERN_SIGMA_PX = 0.5
-"""Gaussian blur that the sampling pattern contains beside the pixel's own square."""
+Slopes = tuple[float, float, float]
+"""A target coordinate at a pixel, mm, and how it grows with u and v, mm per px."""
 
-PATTERN_POINTS = 128
+PER_PX = 128
+"""Table entries per pixel; linear between them, right to 1e-5."""
+
+SLOPES = 32
+"""Steps from an edge along an image axis to a diagonal one."""
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
-def sample_pattern() -> FloatArray:
-    """Points (n, 2) px, spread as a square pixel convolved with a Gaussian of half a pixel.
+class Response(NamedTuple):
+    """Tables of a pixel's response b(u) b(v) to light; all are symmetric about their middle."""
 
-    A low-discrepancy sequence (R2) through the inverse distribution of each axis, made symmetric.
-    Then the fractions of each coordinate are spread evenly: the pixels that share an edge add up
-    to exactly where it lies, wherever it falls between their centres.
-    """
-    grid = np.linspace(-3.5, 3.5, 7001)
-    density = np.exp(-0.5 * (grid / PATTERN_SIGMA_PX) ** 2)
-    square = np.convolve(density, np.ones(1001), mode="same")
-    cumulative = np.cumsum(square) / square.sum()
-    step = np.array([0.7548776662466927, 0.5698402909980532])
-    uniform = (0.5 + np.arange(PATTERN_POINTS // 2)[:, None] * step) % 1.0
-    half = np.interp(uniform, cumulative, grid)
-    points = np.concatenate([half, -half])
-    whole = np.floor(points)
-    rank = np.argsort(np.argsort(points - whole, axis=0), axis=0)
-    return np.asarray(whole + (rank + 0.5) / PATTERN_POINTS)
+    reach_px: float
+    """No light comes from further away, along either axis."""
+    variance_px2: float
+    """Of b."""
+    density: FloatArray
+    """(n,) b, per px."""
+    edges: FloatArray
+    """(SLOPES + 1, m) share of u + p v < d for p from 0 to 1; p = 0 is the integral of b."""
 
 
 @njit(cache=True, nogil=True)
@@ -86,31 +85,165 @@ def _look(
 
     R, centre: T_target_camera. sheet: bow, then middle and half size along x and y, mm.
     """
-    bow = sheet[0]
+    bow, per_x, per_y = sheet[0], 1.0, 1.0
+    if bow != 0.0:
+        per_x, per_y = 1.0 / sheet[3], 1.0 / sheet[4]
     for u in range(rays.shape[0]):
         a, b = rays[u, 0], rays[u, 1]
         dx = R[0, 0] * a + R[0, 1] * b + R[0, 2]
         dy = R[1, 0] * a + R[1, 1] * b + R[1, 2]
         dz = R[2, 0] * a + R[2, 1] * b + R[2, 2]
-        along = -centre[2] / dz
+        per_z = 1.0 / dz
+        along = -centre[2] * per_z
         if bow != 0.0:
             for _ in range(2):
-                xi = (centre[0] + along * dx - sheet[1]) / sheet[3]
-                eta = (centre[1] + along * dy - sheet[2]) / sheet[4]
+                xi = (centre[0] + along * dx - sheet[1]) * per_x
+                eta = (centre[1] + along * dy - sheet[2]) * per_y
                 if xi * xi + eta * eta < 8.0:  # beyond the sheet its bow means nothing
-                    along = (bow * (1.0 - 0.5 * (xi * xi + eta * eta)) - centre[2]) / dz
+                    along = (bow * (1.0 - 0.5 * (xi * xi + eta * eta)) - centre[2]) * per_z
         row[u, 0] = centre[0] + along * dx
         row[u, 1] = centre[1] + along * dy
 
 
 @njit(cache=True, nogil=True)
-def _cell(lines: FloatArray, guess: int, x: float) -> int:  # pragma: no cover - compiled
-    """Index of the cell that holds x, searched from a guess; the outer lines are at infinity."""
-    while x < lines[guess]:
-        guess -= 1
-    while x >= lines[guess + 1]:
-        guess += 1
-    return guess
+def _at(table: FloatArray, x_px: float) -> float:  # pragma: no cover - compiled
+    """Table value at a distance from the middle; the end values go on for ever."""
+    at = x_px * PER_PX + (len(table) // 2)
+    if at <= 0.0:
+        return float(table[0])
+    k = int(at)
+    if k >= len(table) - 1:
+        return float(table[-1])
+    return float(table[k] + (at - k) * (table[k + 1] - table[k]))
+
+
+@njit(cache=True, nogil=True)
+def edge_share(
+    response: Response, edge: tuple[float, float, float]
+) -> float:  # pragma: no cover - compiled
+    """Share of a pixel from where e[0] + e[1] u + e[2] v > 0, (u, v) px from its centre."""
+    steep, flat = abs(edge[1]), abs(edge[2])
+    if steep < flat:
+        steep, flat = flat, steep
+    slope = flat / steep * SLOPES
+    k = min(int(slope), SLOPES - 1)
+    near = _at(response.edges[k], edge[0] / steep)
+    return near + (slope - k) * (_at(response.edges[k + 1], edge[0] / steep) - near)
+
+
+@njit(cache=True, nogil=True)
+def wedge_share(
+    response: Response, first: tuple[float, float, float], second: tuple[float, float, float]
+) -> float:  # pragma: no cover - compiled
+    """Share of a pixel from beyond both of two edges that cross; each as in `edge_share`.
+
+    Axes are swapped and reversed until the region is right of u = u0 + p (v - v0) and above
+    v = v0 + q (u - u0). Around it lie the quadrant left of and below the crossing (u0, v0), what is
+    left of the first edge above v0, and what is below the second right of u0.
+    """
+    a, b = first, second
+    if abs(a[1] * b[2]) < abs(a[2] * b[1]):  # the first edge is along u rather than v
+        a, b = second, first
+    determinant = a[1] * b[2] - a[2] * b[1]
+    sign_u = 1.0 if a[1] > 0.0 else -1.0
+    sign_v = 1.0 if b[2] > 0.0 else -1.0
+    u0 = sign_u * (a[2] * b[0] - a[0] * b[2]) / determinant
+    v0 = sign_v * (a[0] * b[1] - a[1] * b[0]) / determinant
+    p, q = -sign_u * sign_v * a[2] / a[1], -sign_u * sign_v * b[1] / b[2]
+    corner = _at(response.edges[0], u0) * _at(response.edges[0], v0)
+    return 1.0 - corner - _beside(response, u0, v0, p) - _beside(response, v0, u0, q)
+
+
+@njit(cache=True, nogil=True)
+def _beside(
+    response: Response, u0: float, v0: float, slope: float
+) -> float:  # pragma: no cover - compiled
+    """Share of v > v0, u < u0 + slope (v - v0): the integral of b(v) times that of b(u)."""
+    start = max(v0, -response.reach_px)
+    half = 0.5 * (response.reach_px - start)
+    if half <= 0.0:
+        return 0.0
+    total = 0.0
+    for n in range(len(_NODES)):
+        v = start + half * (1.0 + _NODES[n])
+        inner = _at(response.edges[0], u0 + slope * (v - v0))
+        total += _WEIGHTS[n] * _at(response.density, v) * inner
+    return half * total
+
+
+@njit(cache=True, nogil=True)
+def _slopes(
+    above: FloatArray, here: FloatArray, below: FloatArray, u: int
+) -> tuple[Slopes, Slopes]:  # pragma: no cover - compiled
+    """Target coordinates at pixel u of three rows from `_look`, which are two pixels longer."""
+    x_slopes = (
+        here[u + 1, 0],
+        0.5 * (here[u + 2, 0] - here[u, 0]),
+        0.5 * (below[u + 1, 0] - above[u + 1, 0]),
+    )
+    y_slopes = (
+        here[u + 1, 1],
+        0.5 * (here[u + 2, 1] - here[u, 1]),
+        0.5 * (below[u + 1, 1] - above[u + 1, 1]),
+    )
+    return x_slopes, y_slopes
+
+
+@njit(cache=True, nogil=True)
+def _cells(
+    lines: FloatArray, guess: int, x: float, reach: float
+) -> tuple[int, int]:  # pragma: no cover - compiled
+    """First and last cell that x +- reach touches, searched from a guess for the first."""
+    first = guess
+    while x - reach < lines[first]:
+        first -= 1
+    while x - reach >= lines[first + 1]:
+        first += 1
+    last = first
+    while x + reach >= lines[last + 1]:
+        last += 1
+    return first, last
+
+
+@njit(cache=True, nogil=True)
+def _dark(i: int, j: int, nx: int, ny: int) -> float:  # pragma: no cover - compiled
+    """1.0 for a black square, 0.0 for a white one and beyond the board."""
+    return 1.0 if 1 <= i <= nx and 1 <= j <= ny and (i + j) % 2 == 0 else 0.0
+
+
+@njit(cache=True, nogil=True)
+def _darkness(
+    response: Response,
+    x_lines: FloatArray,
+    y_lines: FloatArray,
+    x: Slopes,
+    y: Slopes,
+    first: tuple[int, int],
+    last: tuple[int, int],
+) -> float:  # pragma: no cover - compiled
+    """Share of black in a pixel that touches cells first to last, (i, j) each.
+
+    The first cell's grey, then what changes beyond each line, then beyond each crossing.
+    """
+    nx, ny = len(x_lines) - 3, len(y_lines) - 3
+    i0, j0 = first
+    dark = _dark(i0, j0, nx, ny)
+    for i in range(i0 + 1, last[0] + 1):
+        step = _dark(i, j0, nx, ny) - _dark(i - 1, j0, nx, ny)
+        if step != 0.0:
+            dark += step * edge_share(response, (x[0] - x_lines[i], x[1], x[2]))
+    for j in range(j0 + 1, last[1] + 1):
+        step = _dark(i0, j, nx, ny) - _dark(i0, j - 1, nx, ny)
+        if step != 0.0:
+            dark += step * edge_share(response, (y[0] - y_lines[j], y[1], y[2]))
+        for i in range(i0 + 1, last[0] + 1):
+            step = _dark(i, j, nx, ny) - _dark(i - 1, j, nx, ny)
+            step -= _dark(i, j - 1, nx, ny) - _dark(i - 1, j - 1, nx, ny)
+            if step != 0.0:
+                right_of = (x[0] - x_lines[i], x[1], x[2])
+                below = (y[0] - y_lines[j], y[1], y[2])
+                dark += step * wedge_share(response, right_of, below)
+    return dark
 
 
 @njit(cache=True, nogil=True)
@@ -121,7 +254,7 @@ def render_board(
     sheet: FloatArray,
     x_lines: FloatArray,
     y_lines: FloatArray,
-    pattern: FloatArray,
+    response: Response,
     white: float,
     black: float,
     out: Float32Array,
@@ -133,7 +266,6 @@ def render_board(
     """
     height, width = out.shape
     nx, ny = len(x_lines) - 3, len(y_lines) - 3
-    reach = np.abs(pattern).max()
     rows = np.empty((3, width + 2, 2))
     above, here, below = rows[0], rows[1], rows[2]
     _look(rays[0], R, centre, sheet, above)
@@ -142,90 +274,59 @@ def render_board(
         _look(rays[v + 2], R, centre, sheet, below)
         i = j = 0
         for u in range(width):
-            x, y = here[u + 1, 0], here[u + 1, 1]
-            xu, yu = 0.5 * (here[u + 2, 0] - here[u, 0]), 0.5 * (here[u + 2, 1] - here[u, 1])
-            xv, yv = (
-                0.5 * (below[u + 1, 0] - above[u + 1, 0]),
-                0.5 * (below[u + 1, 1] - above[u + 1, 1]),
-            )
-            i, j = _cell(x_lines, i, x), _cell(y_lines, j, y)
-            reach_x = reach * (abs(xu) + abs(xv))
-            reach_y = reach * (abs(yu) + abs(yv))
-            if (
-                x - x_lines[i] > reach_x
-                and x_lines[i + 1] - x > reach_x
-                and y - y_lines[j] > reach_y
-                and y_lines[j + 1] - y > reach_y
-            ):
-                dark = 1.0 if 1 <= i <= nx and 1 <= j <= ny and (i + j) % 2 == 0 else 0.0
+            x, y = _slopes(above, here, below, u)
+            reach_x = response.reach_px * (abs(x[1]) + abs(x[2]))
+            reach_y = response.reach_px * (abs(y[1]) + abs(y[2]))
+            i, last_i = _cells(x_lines, i, x[0], reach_x)
+            j, last_j = _cells(y_lines, j, y[0], reach_y)
+            if i == last_i and j == last_j:
+                dark = _dark(i, j, nx, ny)
             else:
-                hits = 0
-                for n in range(len(pattern)):
-                    du, dv = pattern[n, 0], pattern[n, 1]
-                    p = _cell(x_lines, i, x + xu * du + xv * dv)
-                    q = _cell(y_lines, j, y + yu * du + yv * dv)
-                    if 1 <= p <= nx and 1 <= q <= ny and (p + q) % 2 == 0:
-                        hits += 1
-                dark = hits / len(pattern)
+                dark = _darkness(response, x_lines, y_lines, x, y, (i, j), (last_i, last_j))
             out[v, u] = white + (black - white) * dark
         above, here, below = here, below, above
 
 
 @njit(cache=True, nogil=True)
-def render_discs(
+def add_discs(
     rays: Float32Array,
     R: FloatArray,
     centre: FloatArray,
     discs: FloatArray,
-    plate: FloatArray,
-    pattern: FloatArray,
-    greys: FloatArray,
+    boxes: IntArray,
+    response: Response,
+    contrast: float,
     out: Float32Array,
 ) -> None:  # pragma: no cover - compiled
-    """Reflectance of white discs on a black plate before a grey background: out (height, width).
+    """Add discs to a rendered plate: out (height, width).
 
-    discs (n, 3): x, y, radius in WM, mm. plate: x0, y0, x1, y1. greys: white, black, background.
+    discs (n, 3): x, y, radius in WM, mm. boxes (n, 4): where each is seen, u0, v0, u1, v1 px.
+    contrast: disc minus plate. An outline is straight within a pixel's reach, but for its mean
+    sagitta there.
     """
-    height, width = out.shape
-    reach = math.sqrt((pattern * pattern).sum(axis=1).max())
     flat = np.zeros(5)
-    rows = np.empty((3, width + 2, 2))
-    above, here, below = rows[0], rows[1], rows[2]
-    _look(rays[0], R, centre, flat, above)
-    _look(rays[1], R, centre, flat, here)
-    for v in range(height):
-        _look(rays[v + 2], R, centre, flat, below)
-        for u in range(width):
-            x, y = here[u + 1, 0], here[u + 1, 1]
-            xu, yu = 0.5 * (here[u + 2, 0] - here[u, 0]), 0.5 * (here[u + 2, 1] - here[u, 1])
-            xv, yv = (
-                0.5 * (below[u + 1, 0] - above[u + 1, 0]),
-                0.5 * (below[u + 1, 1] - above[u + 1, 1]),
-            )
-            margin = reach * math.sqrt(xu * xu + yu * yu + xv * xv + yv * yv)
-            clear = max(plate[0] - x, x - plate[2], plate[1] - y, y - plate[3])
-            if clear > margin:
-                out[v, u] = greys[2]
-                continue
-            disc, gap = 0, np.inf  # the nearest disc, and how far its edge is
-            for d in range(len(discs)):
-                dx, dy = x - discs[d, 0], y - discs[d, 1]
-                away = math.sqrt(dx * dx + dy * dy) - discs[d, 2]
-                if away < gap:
-                    disc, gap = d, away
-            if abs(clear) > margin and abs(gap) > margin:
-                out[v, u] = greys[0] if gap < 0.0 else greys[1]
-                continue
-            total = 0.0
-            for n in range(len(pattern)):
-                du, dv = pattern[n, 0], pattern[n, 1]
-                dx, dy = x + xu * du + xv * dv, y + yu * du + yv * dv
-                if dx < plate[0] or dx > plate[2] or dy < plate[1] or dy > plate[3]:
-                    total += greys[2]
-                    continue
-                dx -= discs[disc, 0]
-                dy -= discs[disc, 1]
-                inside = dx * dx + dy * dy < discs[disc, 2] * discs[disc, 2]
-                total += greys[0] if inside else greys[1]
-            out[v, u] = total / len(pattern)
-        above, here, below = here, below, above
+    for d in range(len(discs)):
+        u0, v0, u1, v1 = boxes[d]
+        rows = np.empty((3, max(u1 - u0, 0) + 2, 2))
+        above, here, below = rows[0], rows[1], rows[2]
+        for v in range(v0, v1):
+            _look(rays[v, u0 : u1 + 2], R, centre, flat, above)
+            _look(rays[v + 1, u0 : u1 + 2], R, centre, flat, here)
+            _look(rays[v + 2, u0 : u1 + 2], R, centre, flat, below)
+            for u in range(u0, u1):
+                x, y = _slopes(above, here, below, u - u0)
+                out[v, u] += contrast * _disc_share(response, x, y, discs[d])
+
+
+@njit(cache=True, nogil=True)
+def _disc_share(
+    response: Response, x: Slopes, y: Slopes, disc: FloatArray
+) -> float:  # pragma: no cover - compiled
+    """Share of a disc (x, y, radius) in a pixel."""
+    dx, dy = x[0] - disc[0], y[0] - disc[1]
+    away = max(math.sqrt(dx * dx + dy * dy), 1e-9)
+    dx, dy = dx / away, dy / away
+    across = x[1] * dy - y[1] * dx, x[2] * dy - y[2] * dx
+    square = across[0] * across[0] + across[1] * across[1]
+    inside = disc[2] - away - 0.5 * response.variance_px2 * square / disc[2]
+    return edge_share(response, (inside, -x[1] * dx - y[1] * dy, -x[2] * dx - y[2] * dy))
