@@ -1,0 +1,129 @@
+"""A perfect world of numbers, drawn from the priors: true site, noisy points, no images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from core.adjustment import (
+    SHAPE_PARAMETERS,
+    Adjusted,
+    AdjustmentPriors,
+    adjust,
+    shape_terms,
+)
+from core.board import Board
+from core.discs import Discs
+from core.dual import drawn_rig, rig_prior
+from core.intrinsics import lens_prior, nominal_lens
+from core.lens import Lens
+from core.pose import Pose
+from core.resection import BoardView
+from core.rig import MainView, Rig
+from core.setup import Levels, Setup
+from core.site import CheckerboardTarget, FloatArray
+from tests.core.scenes import small_site
+
+CORNER_PX = 0.005
+DISC_PX = 0.005
+SITE = small_site(sub_target=CheckerboardTarget(10, 8, 4.0, 50.0))
+BOARD = Board.nominal(SITE.sub_target)
+B = SITE.nominal_px_per_mm * np.diag([1.0, -1.0])
+DRAWN = drawn_rig(SITE, B)
+PRIORS = AdjustmentPriors(lens=lens_prior(SITE.sub), rig=rig_prior(SITE))
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """One true site, and what is seen of it."""
+
+    lens: Lens
+    corners_mm: FloatArray
+    rig: Rig
+    discs_px: FloatArray
+    """(5, 2) in the reference."""
+    reference: Pose
+
+    def see_board(self, pose: Pose, rng: np.random.Generator) -> BoardView:
+        """Noisy corners, those in the image."""
+        px = self.lens.project(pose.apply(self.corners_mm))
+        size = np.array([SITE.sub.width_px, SITE.sub.height_px]) - 4
+        index = np.nonzero(((px > 3) & (px < size)).all(axis=1))[0]
+        noisy = px[index] + CORNER_PX * rng.normal(size=(len(index), 2))
+        return BoardView(index, noisy, np.tile(CORNER_PX**2 * np.eye(2), (len(index), 1, 1)))
+
+    def see_discs(self, motion: Pose, moved_mm: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Noisy discs (5, 2) after a rig motion and a displacement of the target."""
+        scale = self.rig.scale_px_per_mm * np.array([1.0, -1.0])
+        px = self.rig.move(self.discs_px + moved_mm * scale, motion)
+        return px + DISC_PX * rng.normal(size=px.shape)
+
+
+def draw(rng: np.random.Generator) -> Truth:
+    """A true site within its priors (the lens well within)."""
+    lens = nominal_lens(SITE.sub).parameters + np.array(
+        [6.0, 6.0, 0.0, 3.0, 3.0, 0.1, 0.05, 5e-4, 5e-4, 0.01]
+    ) * rng.normal(size=10)
+    second, third, fourth = PRIORS.bow_mm
+    sigma = np.array([PRIORS.scale] * 3 + [second] * 3 + [third] * 4 + [fourth] * 3)
+    corners = BOARD.corners_mm + shape_terms(BOARD) @ (sigma * rng.normal(size=SHAPE_PARAMETERS))
+    corners[:, :2] += PRIORS.corner_mm * rng.normal(size=(len(corners), 2))
+    rig = DRAWN.perturbed(PRIORS.rig * rng.normal(size=8))
+    discs = rig.centre_px + (SITE.main_target.centres_mm @ B.T) * (rig.scale_px_per_mm / B[0, 0])
+    reference = Pose.from_vectors(
+        0.02 * rng.normal(size=3), np.array([-20.0, -16.0, 50.0]) + rng.normal(size=3)
+    )
+    return Truth(Lens(lens), corners, rig, discs, reference)
+
+
+def head_motion(pan_rad: float, tilt_rad: float) -> Pose:
+    """`T_CSj_CS1` of a turn about axes that do not meet."""
+    turn = Pose(Rotation.from_rotvec([tilt_rad, 0.0, 0.0]).as_matrix(), np.zeros(3))
+    tilt = Pose(turn.R, np.array([0.0, 118.0, -25.0]) - turn.R @ [0.0, 118.0, -25.0])
+    turn = Pose(Rotation.from_rotvec([0.0, pan_rad, 0.0]).as_matrix(), np.zeros(3))
+    pan = Pose(turn.R, np.array([6.0, 0.0, -44.0]) - turn.R @ [6.0, 0.0, -44.0])
+    return pan.compose(tilt)
+
+
+def held_pose(rng: np.random.Generator) -> Pose:
+    """`T_CS_WS` of the board in the hand."""
+    axis = rng.normal(size=2)
+    tilt = np.radians(25.0) * np.sqrt(rng.uniform(0.2, 1.0)) * axis / np.hypot(*axis)
+    R = Rotation.from_rotvec([*tilt, rng.uniform(-0.2, 0.2)]).as_matrix()
+    middle = np.array([*rng.uniform(-4.0, 4.0, 2), rng.uniform(58.0, 70.0)])
+    return Pose(R, middle - R @ [20.0, 16.0, 0.0])
+
+
+def calibrated(truth: Truth, rng: np.random.Generator) -> tuple[Setup, Adjusted]:
+    """What the adjustment makes of six lens views, the reference and six head positions."""
+    motions = [head_motion(*rng.uniform(-2e-3, 2e-3, 2)) for _ in range(6)]
+    poses = [truth.reference, *(m.compose(truth.reference) for m in motions)]
+    poses += [held_pose(rng) for _ in range(6)]
+    views = [truth.see_board(pose, rng) for pose in poses]
+    reference_px = truth.see_discs(Pose.identity(), np.zeros(2), rng)
+    main = [None]
+    main += [MainView(truth.see_discs(m, np.zeros(2), rng), reference_px, DISC_PX) for m in motions]
+    main += [None] * 6
+    adjusted = adjust(BOARD, views, nominal_lens(SITE.sub), poses, PRIORS, DRAWN, main)
+    scale = truth.rig.scale_px_per_mm
+    setup = Setup(
+        BOARD,
+        adjusted.corners_mm,
+        adjusted.lens,
+        adjusted.poses[0],
+        reference_px,
+        np.diag([scale, -scale]),
+        adjusted.rig,
+        adjusted.covariance,
+        Levels(CORNER_PX, 180.0, 0.7, 180.0, 0.8, 3e-3, 1.0),
+    )
+    return setup, adjusted
+
+
+def discs_of(points_px: FloatArray) -> Discs:
+    """Clean discs at noisy points."""
+    n = len(points_px)
+    covariance = np.tile(DISC_PX**2 * np.eye(2), (n, 1, 1))
+    return Discs(np.ones(n, dtype=bool), points_px, covariance, np.ones(n), 180.0, 0.8)
