@@ -21,6 +21,7 @@ demo: $(INSTALLED)
 	$(BIN)/dcam-ctl demo --output out/demo
 
 test: $(INSTALLED)
+	@sh .ci/system-packages $(PYTHON) tests
 	$(BIN)/python -m pytest
 
 check: $(INSTALLED)
