@@ -11,6 +11,8 @@ from core.site import FloatArray, IntArray
 
 _LEVELS = 14
 _MIN_RADIUS_PX = 3.0
+_SEARCH_RADIUS_PX = 7.0
+_LARGE_PX = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,15 +32,19 @@ class Blobs:
         return np.asarray(np.trace(self.outline_px, axis1=1, axis2=2) / 2.0)
 
 
-def find_blobs(grey: FloatArray, min_contrast_dn: float = 4.0) -> Blobs:
+def find_blobs(
+    grey: FloatArray, min_radius_px: float | None = None, min_contrast_dn: float = 4.0
+) -> Blobs:
     """Find bright ellipses in a greyscale image (h, w), of axis ratio up to 2.
 
     Connected regions at several thresholds spread over the grey values; a region counts if its
     area agrees with its outline's ellipse and it is brighter than its surroundings. Of
-    concentric regions the one with the sharpest edge stays. Large images are searched at half
-    size.
+    concentric regions the one with the sharpest edge stays. The image is searched at the size
+    at which the smallest radius asked for is seven pixels; without one, large images at half.
     """
-    shrink = 0.5 if max(grey.shape) > 1000 else 1.0
+    shrink = 0.5 if max(grey.shape) > _LARGE_PX else 1.0
+    if min_radius_px is not None:
+        shrink = float(np.clip(_SEARCH_RADIUS_PX / min_radius_px, 0.2, 1.0))
     small = cv2.resize(grey, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
     smooth = np.asarray(cv2.GaussianBlur(small, (0, 0), 1.0), dtype=np.float32)
     slope = cv2.magnitude(
@@ -49,7 +55,7 @@ def find_blobs(grey: FloatArray, min_contrast_dn: float = 4.0) -> Blobs:
     found: list[tuple[float, ...]] = []
     for level in _levels(smooth):
         found.extend(_round_regions(smooth, gradient, level))
-    return _best_of_concentric(np.array(found).reshape(-1, 7), min_contrast_dn, shrink)
+    return _bright_ones(smooth, _best_of_concentric(found), min_contrast_dn, shrink)
 
 
 def _levels(smooth: FloatArray) -> FloatArray:
@@ -60,7 +66,7 @@ def _levels(smooth: FloatArray) -> FloatArray:
 def _round_regions(
     smooth: FloatArray, gradient: FloatArray, level: float
 ) -> list[tuple[float, ...]]:
-    """(x, y, a, b, angle_deg, contrast, sharpness) of the round regions above a level."""
+    """(x, y, a, b, angle_deg, sharpness) of the round regions above a level."""
     mask = (smooth > level).astype(np.uint8)
     contours, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     height, width = smooth.shape
@@ -78,11 +84,10 @@ def _round_regions(
             continue
         if not 0.85 < (area + 0.5 * len(contour)) / (np.pi * a * b) < 1.15:
             continue
-        contrast = _contrast(smooth, cx, cy, a, b, angle)
         edge = np.asarray(contour[:, 0], dtype=np.int64)
-        sharpness = float(np.median(gradient[edge[:, 1], edge[:, 0]]))
-        if contrast > 0 and _fills_ellipse(edge, cx, cy, a, b, angle):
-            regions.append((cx, cy, a, b, angle, contrast, sharpness))
+        if _fills_ellipse(edge, cx, cy, a, b, angle):
+            sharpness = float(np.median(gradient[edge[:, 1], edge[:, 0]]))
+            regions.append((cx, cy, a, b, angle, sharpness))
     return regions
 
 
@@ -117,17 +122,27 @@ def _fills_ellipse(edge: IntArray, cx: float, cy: float, a: float, b: float, ang
     return bool(np.mean(np.abs(rho - 1.0) < 1.2 / min(a, b) + 0.05) > 0.8)
 
 
-def _best_of_concentric(found: FloatArray, min_contrast_dn: float, shrink: float) -> Blobs:
-    found = found[found[:, 5] >= min_contrast_dn]
-    kept: list[FloatArray] = []
-    for blob in found[np.argsort(-found[:, 6])]:
-        if all(np.hypot(*(blob[:2] - k[:2])) > 0.5 * max(min(k[2:4]), 3.0) for k in kept):
+def _best_of_concentric(found: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
+    """Keep the sharpest of the regions that share a centre."""
+    kept: list[tuple[float, ...]] = []
+    for blob in sorted(found, key=lambda region: -region[5]):
+        apart = (
+            np.hypot(blob[0] - k[0], blob[1] - k[1]) > 0.5 * max(min(k[2:4]), 3.0) for k in kept
+        )
+        if all(apart):
             kept.append(blob)
-    best = np.array(kept).reshape(-1, 7)
+    return kept
+
+
+def _bright_ones(
+    smooth: FloatArray, found: list[tuple[float, ...]], min_contrast_dn: float, shrink: float
+) -> Blobs:
+    """Those brighter than their surroundings, at the full image's size."""
+    contrasts = np.array([_contrast(smooth, *blob[:5]) for blob in found])
+    bright = contrasts >= min_contrast_dn
+    best = np.array(found).reshape(-1, 6)[bright]
     angle = np.radians(best[:, 4])
     axes = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     along = axes[:, :, None] * axes[:, None, :]
-    rest = np.eye(2) - along
-    outline = best[:, 2, None, None] * along + best[:, 3, None, None] * rest
-    centres = (best[:, :2] + 0.5) / shrink - 0.5
-    return Blobs(centres, outline / shrink, best[:, 5])
+    outline = best[:, 2, None, None] * along + best[:, 3, None, None] * (np.eye(2) - along)
+    return Blobs((best[:, :2] + 0.5) / shrink - 0.5, outline / shrink, contrasts[bright])

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from core.board import Board
@@ -20,6 +21,8 @@ from core.site import BoolArray, FloatArray, IntArray
 _FIRST_REACH_PX, _FIRST_REACH_SQUARES = 7.0, 0.3
 """Small at first: without the lens, the edges are only straight near the corner."""
 _STENCIL_SQUARES = 0.5
+_HALF_SIZE_SQUARE_PX = 30.0
+"""Squares expected larger than this are found as well in the image at half size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +68,8 @@ def locate_board(
     """
     grey = as_float(image)
     expected_px = None if expected is None else lens.project(expected.apply(corners_mm))
-    named = _find(grey, board, expected_px)
+    square_px = lens.parameters[0] * board.square_mm / expected.t_mm[2] if expected else 0.0
+    named = _find(grey, board, expected_px, half_size=square_px > _HALF_SIZE_SQUARE_PX)
     rough = BoardView(
         named.index, named.points_px, np.broadcast_to(0.05**2 * np.eye(2), (len(named.index), 2, 2))
     )
@@ -95,9 +99,19 @@ def refine_board(
     return _located(index, locate_corners(grey, image.saturation_dn, points, maps), certain=certain)
 
 
-def _find(grey: FloatArray, board: Board, expected_px: FloatArray | None) -> NamedLattice:
+def _find(
+    grey: FloatArray, board: Board, expected_px: FloatArray | None, *, half_size: bool = False
+) -> NamedLattice:
+    """Find the board's corners, to some hundredths of a pixel; at half size if that will do."""
     height, width = grey.shape
-    return name_on_board(join(find_saddles(grey)), board, width, height, expected_px)
+    if half_size:
+        resized = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        small = np.asarray(resized, dtype=np.float32)
+        saddles = find_saddles(small)
+        saddles = replace(saddles, points_px=2.0 * saddles.points_px + 0.5)
+    else:
+        saddles = find_saddles(grey)
+    return name_on_board(join(saddles), board, width, height, expected_px)
 
 
 def _located(index: IntArray, fits: CornerFits, *, certain: bool) -> LocatedBoard:

@@ -15,6 +15,7 @@ from core.site import BoolArray, CirclesTarget, FloatArray
 
 MIN_DISCS = 3
 _MAX_ROLL_DEG = 50.0
+_SCALE_TOLERANCE = 2.0
 _RADIUS_TOLERANCE = 0.25
 _PLACE_TOLERANCE = 0.12  # of the target's size
 _MIN_CLEAN = 0.5
@@ -50,7 +51,11 @@ def find_discs(
     Raises TargetNotFoundError.
     """
     grey = as_float(image)
-    blobs = find_blobs(grey)
+    smallest_mm = 0.5 * float(target.diameters_mm.min())
+    blobs = find_blobs(
+        grey,
+        None if expected_px_per_mm is None else smallest_mm * expected_px_per_mm / _SCALE_TOLERANCE,
+    )
     names = _name(blobs, target, expected_px_per_mm, expected_px)
     if len(names) < MIN_DISCS:
         msg = (
@@ -124,7 +129,7 @@ def _hypotheses(
             for blob, disc in ((a, i), (b, j)):
                 fits &= np.abs(np.log(blob_radii[blob] / (size * radii[disc]))) < _RADIUS_TOLERANCE
             if expected_px_per_mm is not None:
-                fits &= np.abs(np.log(size / expected_px_per_mm)) < np.log(2.0)
+                fits &= np.abs(np.log(size / expected_px_per_mm)) < np.log(_SCALE_TOLERANCE)
             hypotheses += [
                 (complex(factor[k]), complex(spots[a[k]] - factor[k] * place[i]))
                 for k in np.nonzero(fits)[0]

@@ -235,13 +235,14 @@ def fit_corners(
 
     image (h, w) DN; points (n, 2) px; maps (n, 2, 5) squares per px, px^2; half (n,) px;
     scale (n,) DN noise for the pixel weights, 0 for none; limits: reach in squares, band about the
-    edges in px, saturation DN. At most `iterations` steps; a last pass evaluates the fit.
+    edges in px, saturation DN. At most `iterations` steps.
     state (n, 9) out; its blur, in, is where the fit starts. information (n, 2, 2): inverse
     covariance of the shift for unit pixel noise, nuisance parameters eliminated. figures (n, 4):
     weighted residual sum of squares, weight sum, pixels, 1 if the fit is usable.
     """
     n = CORNER_PARAMETERS
     normal, right, frame = np.zeros((n, n)), np.zeros(n), np.zeros(6)
+    factor, gradient = np.zeros((n, n)), np.zeros(n)
     room = int(2 * half.max() + 4) ** 2 if len(half) else 0
     pixels, rows = np.zeros((3, room)), np.zeros((n, room))
     miss, weight = np.zeros(room), np.ones(room)
@@ -255,26 +256,30 @@ def fit_corners(
         if not _start_corner(pixels, count, m, p):
             continue
         weight[:count] = 1.0
-        usable, settled = True, False
-        for step in range(iterations + 1):
+        usable, improved = True, 0.0
+        for step in range(iterations):
             for i in range(count):
                 model = _corner_pixel(pixels[0, i], pixels[1, i], m, p, frame, rows, i)
                 miss[i] = pixels[2, i] - model
                 if step > 0:
                     weight[i] = _pixel_weight(miss[i], scale[k])
             _sum_up(rows, miss, weight, count, normal, right)
-            if step == iterations or settled:
-                break
-            if not solve_spd(normal, right, n):
+            factor[:, :] = normal
+            gradient[:] = right
+            if not solve_spd(factor, right, n):
                 usable = False
                 break
+            improved = 0.0
             for a in range(n):
                 p[a] += right[a]
-            settled = step > 0 and abs(right[0]) + abs(right[1]) < _SETTLED_PX
+                improved += gradient[a] * right[a]
+            if step > 0 and abs(right[0]) + abs(right[1]) < _SETTLED_PX:
+                break
             p[8] = min(max(p[8], 0.35), 6.0)
             if abs(p[0]) + abs(p[1]) > 0.5 * half[k]:
                 usable = False
                 break
+        figures[k, 0] = -improved  # by the last step, which was not evaluated any more
         for i in range(count):
             figures[k, 0] += weight[i] * miss[i] * miss[i]
             figures[k, 1] += weight[i]
@@ -391,6 +396,7 @@ def fit_discs(
     """
     n = DISC_PARAMETERS
     normal, right = np.zeros((n, n)), np.zeros(n)
+    factor, gradient = np.zeros((n, n)), np.zeros(n)
     largest = 0.0
     for k in range(len(points)):
         largest = max(largest, max(state[k, 2], state[k, 4]) + abs(state[k, 3]))
@@ -404,22 +410,25 @@ def fit_discs(
         if count < _MIN_PIXELS:
             continue
         weight[:count] = 1.0
-        usable, settled = True, False
-        for step in range(iterations + 1):
+        usable, improved = True, 0.0
+        for step in range(iterations):
             for i in range(count):
                 model = _disc_pixel(pixels[0, i], pixels[1, i], p, rows, i)
                 miss[i] = pixels[2, i] - model
                 if step > 0:
                     weight[i] = _pixel_weight(miss[i], scale)
             _sum_up(rows, miss, weight, count, normal, right)
-            if step == iterations or settled:
-                break
-            if not solve_spd(normal, right, n):
+            factor[:, :] = normal
+            gradient[:] = right
+            if not solve_spd(factor, right, n):
                 usable = False
                 break
+            improved = 0.0
             for a in range(n):
                 p[a] += right[a]
-            settled = step > 1 and abs(right[0]) + abs(right[1]) < _SETTLED_PX
+                improved += gradient[a] * right[a]
+            if step > 1 and abs(right[0]) + abs(right[1]) < _SETTLED_PX:
+                break
             p[11] = min(max(p[11], 0.35), 12.0)
             if not (p[2] > 1.0 and p[4] > 1.0 and p[2] * p[4] > p[3] * p[3]):
                 usable = False
@@ -427,6 +436,7 @@ def fit_discs(
             if abs(p[0]) + abs(p[1]) > max(p[2], p[4]):
                 usable = False
                 break
+        figures[k, 0] = -improved  # by the last step, which was not evaluated any more
         for i in range(count):
             figures[k, 0] += weight[i] * miss[i] * miss[i]
             figures[k, 1] += weight[i]

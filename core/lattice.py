@@ -59,15 +59,21 @@ def _links(saddles: Saddles) -> tuple[FloatArray, IntArray]:
     nearest = cKDTree(points).query(points, k=min(_NEIGHBOURS, n))[1]
     near = np.asarray(nearest, dtype=np.int64)[:, 1:]
     offset = points[near] - points[:, None]  # (n, k, 2)
-    along = np.einsum("nkc,nac->nka", offset, arms)
+    along = (
+        offset[:, :, None, 0] * arms[:, None, :, 0] + offset[:, :, None, 1] * arms[:, None, :, 1]
+    )
     across = np.abs(
         offset[:, :, None, 0] * arms[:, None, :, 1] - offset[:, :, None, 1] * arms[:, None, :, 0]
     )
-    parallel = np.abs(np.einsum("nkbc,nac->nkab", arms[near], arms)).max(axis=3) > 0.94
+    # |cosine| between each of my arms and the neighbour's two edges, (n, k, 4, 2).
+    alike = np.abs(
+        arms[:, None, :, None, 0] * arms[near][:, :, None, :2, 0]
+        + arms[:, None, :, None, 1] * arms[near][:, :, None, :2, 1]
+    )
+    parallel = alike.max(axis=3) > 0.94
     # Along an edge the corners alternate: in the arm's own frame the sector clockwise of it.
     side = saddles.polarity[:, None] * np.array([1.0, -1.0, 1.0, -1.0])
-    closest = np.abs(np.einsum("nkbc,nac->nkab", arms[near], arms)).argmax(axis=3)
-    other_side = np.take_along_axis(side[near], closest, axis=2)
+    other_side = np.take_along_axis(side[near], alike.argmax(axis=3), axis=2)
     fits = (along > 0) & (across < 0.22 * along) & parallel & (other_side == -side[:, None, :])
     cost = np.where(fits, along, np.inf)
     choice = cost.argmin(axis=1)

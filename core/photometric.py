@@ -12,8 +12,8 @@ from core.site import BoolArray, FloatArray
 
 CORNER_REACH_SQUARES = 0.46
 """The model covers the pixels nearer to this corner than to its neighbours."""
-CORNER_BAND_PX = 5.0
-"""Pixels further than this from both edges of a corner are flat and add nothing."""
+_SAMPLE_BAND_PX, _BAND_PX, _BAND_BLURS = 8.0, 2.0, 2.6
+"""Pixels further than this (plus so many blur widths) from both edges are flat and add nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +55,9 @@ def locate_corners(
     points_px, maps = np.ascontiguousarray(points_px), np.ascontiguousarray(maps)
     to_px = np.linalg.inv(maps[:, :, :2])
     half = 1.05 * reach_squares * np.abs(to_px).sum(axis=2).max(axis=1) + 1.0
-    limits = np.array([reach_squares, CORNER_BAND_PX, saturation_dn])
+    limits = np.array([reach_squares, _SAMPLE_BAND_PX, saturation_dn])
     noise, blur = _typical(grey, points_px, maps, half, limits)
+    limits[1] = _BAND_PX + _BAND_BLURS * blur
     n = len(points_px)
     state = np.zeros((n, CORNER_PARAMETERS))
     state[:, 8] = blur
