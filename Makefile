@@ -46,6 +46,5 @@ $(VENV)/.stamp-venv:
 # The `aravis` extra is for other systems: here PyGObject is Debian's, which pip would not accept
 # without compiling pycairo.
 $(INSTALLED): pyproject.toml $(VENV)/.stamp-venv
-	@sh .ci/system-packages $(PYTHON)
 	$(BIN)/python -m pip install --quiet --editable ".[plot]" --group dev
 	@touch $@
