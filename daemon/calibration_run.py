@@ -54,7 +54,12 @@ def views_in(directory: Path) -> FrameSet:
 
 
 def calibrate_frames(
-    frames: FrameSet, site: Site, method: Method, on_step: OnStep = lambda _: None
+    frames: FrameSet,
+    site: Site,
+    method: Method,
+    on_step: OnStep = lambda _: None,
+    *,
+    skew: bool = False,
 ) -> CalibrationRun:
     """Calibrate on all views of a frame set that can be read.
 
@@ -72,7 +77,7 @@ def calibrate_frames(
                 raise
             left_out.append(str(error))
         on_step(f"read {format_slot(row.slot_utc)}")
-    calibration, report = calibrate(views, site, method)
+    calibration, report = calibrate(views, site, method, skew=skew)
     on_step("calibrated")
     if left_out:
         report = CalibrationReport(

@@ -26,6 +26,8 @@ from daemon.runner import SlotRunner
 from daemon.store.database import Store, open_store
 from daemon.store.frames import FrameArchive
 from daemon.version import VERSION
+from drivers.errors import DriverError
+from drivers.protocols import FramePairSource
 
 _log = structlog.get_logger("dcam.daemon")
 
@@ -90,11 +92,20 @@ def _run(
         store.add_event(clock.now_utc(), "started", f"version {VERSION}")
         _log.info("started", site=config.name, version=VERSION, state=str(archive.state))
         notifier.ready()
+        prepare_cameras(source)
         done = SlotRunner(line, schedule, source, stop, last_utc, notifier).run(max_slots)
         notifier.stopping()
     store.add_event(clock.now_utc(), "stopped", f"after {done} slots")
     mark_stop(store, clock.now_utc())
     _log.info("stopped", slots=done)
+
+
+def prepare_cameras(source: FramePairSource) -> None:
+    """Open the cameras before the first slot is due; one that is not there costs slots only."""
+    try:
+        source.prepare()
+    except DriverError as error:
+        _log.warning("cameras_not_ready", error=str(error))
 
 
 @contextmanager

@@ -56,13 +56,17 @@ class SynchronizedPair:
         self._open_timeout_s = open_timeout_s
         self._grace_s = grace_s
 
+    def prepare(self) -> None:
+        """Open and arm both cameras. Raises DeviceError, within `open_timeout_s`."""
+        self._both(_Lane.ready, "opening", self._open_timeout_s)
+
     def capture(self, slot_utc: datetime) -> CapturedPair:
         """Take both frames now.
 
         Raises DeviceError, its `role` naming the camera, or None when both failed. Returns or
         raises within `open_timeout_s + timeout_s + grace_s`.
         """
-        self._both(_Lane.ready, "opening", self._open_timeout_s)
+        self.prepare()
         meeting = threading.Barrier(len(self._lanes))
         main, sub = self._both(
             lambda lane: lane.shoot(meeting, self._timeout_s),

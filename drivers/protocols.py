@@ -101,6 +101,13 @@ class Camera(Protocol):
 class FramePairSource(Protocol):
     """Whatever can give one frame pair for a slot."""
 
+    def prepare(self) -> None:
+        """Open both cameras ahead of the first slot, so that it is taken in time.
+
+        Raises `drivers.errors.DeviceError`; the slots are tried all the same.
+        """
+        ...
+
     def capture(self, slot_utc: datetime) -> CapturedPair:
         """Take both frames of a slot.
 

@@ -36,6 +36,9 @@ class ReplaySource:
         main, sub = self._frame("main", number, row), self._frame("sub", number, row)
         return CapturedPair(main, sub, skew_s=_number(row, "skew_s") or 0.0)
 
+    def prepare(self) -> None:
+        """Open nothing: the table has been read."""
+
     def close(self) -> None:
         """Release nothing."""
 

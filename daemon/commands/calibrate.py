@@ -47,6 +47,7 @@ BEFORE_THE_STORY = timedelta(minutes=10)
     show_default=True,
     help="rigid: rigid rig with survey priors; paper: the nine parameters of Lee et al. 2020.",
 )
+@click.option("--skew", is_flag=True, help="Let the sub-camera's axes be skew (gamma of Eq. 10).")
 @click.option("--accept", is_flag=True, help="Make the result active without asking.")
 @json_option
 @common_options
@@ -56,6 +57,7 @@ def command(
     directory: Path | None,
     pan_tilt: bool,
     method: str,
+    skew: bool,
     accept: bool,
     as_json: bool,
 ) -> int:
@@ -73,7 +75,14 @@ def command(
     if directory is None:
         directory, taken_utc = capture_views(config, state)
     return calibrate_and_store(
-        config, state, directory, Method(method), taken_utc, accept=accept, as_json=as_json
+        config,
+        state,
+        directory,
+        Method(method),
+        taken_utc,
+        skew=skew,
+        accept=accept,
+        as_json=as_json,
     )
 
 
@@ -105,6 +114,7 @@ def calibrate_and_store(
     method: Method,
     created_utc: datetime,
     *,
+    skew: bool = False,
     accept: bool,
     as_json: bool,
 ) -> int:
@@ -112,7 +122,7 @@ def calibrate_and_store(
     frames = views_in(directory)
     with open_store(state) as store:
         with progress(len(frames.rows) + 1, "calibrating") as steps:
-            run = calibrate_frames(frames, config.site(), method, steps.next)
+            run = calibrate_frames(frames, config.site(), method, steps.next, skew=skew)
         if not as_json:
             say_report(run)
         activate = accept or is_wanted(run)

@@ -49,6 +49,9 @@ class ToldSource:
     """Number of the capture, from 0, to what happens at it before the pair is given."""
     captures: list[datetime] = field(default_factory=list)
 
+    def prepare(self) -> None:
+        pass
+
     def capture(self, slot_utc: datetime) -> CapturedPair:
         number = len(self.captures)
         self.captures.append(slot_utc)
