@@ -6,6 +6,7 @@ Above all along image rows and columns, where anti-aliasing by samples would rou
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -69,6 +70,12 @@ def _corner_errors(
     return np.column_stack(np.divmod(index, inner.shape[1])), fits.points_px - points
 
 
+def _line_means(line: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Mean error (2,) of each row or column of corners of which enough is in the image."""
+    counts = np.bincount(line)
+    return np.array([error[line == k].mean(axis=0) for k in np.nonzero(counts > 8)[0]])
+
+
 def _edge_errors(image: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Errors of edges along each pixel row, found by area, without any model of an edge.
 
@@ -115,8 +122,7 @@ def test_corners_at_all_angles_are_where_they_should_be(roll_deg: float) -> None
     assert np.sqrt((error**2).mean(axis=0)).max() < 0.0003
     assert np.abs(error).max() < 0.001
     for axis in (0, 1):
-        along = [error[index[:, axis] == k].mean(axis=0) for k in np.unique(index[:, axis])]
-        assert np.abs(along).max() < 0.0005
+        assert np.abs(_line_means(index[:, axis], error)).max() < 0.0005
 
 
 @pytest.mark.parametrize("corner_blur", [1.0, 1.5])
@@ -152,17 +158,24 @@ def test_edges_at_all_angles_are_where_they_should_be(
         assert np.abs(lines).max() < 0.0005
 
 
+@pytest.mark.parametrize(("corner_blur", "limit_px"), [(1.0, 0.0005), (1.5, 0.002)])
 @pytest.mark.parametrize("seed", [1, 3])
-def test_corners_of_a_whole_world_are_where_truth_says(seed: int) -> None:
-    """Full-size images, with all that a rig departs from its drawing: 0.001 px rms."""
-    world = World(site(shrink=1), clean(seed=seed))
+def test_corners_of_a_whole_world_are_where_truth_says(
+    seed: int, corner_blur: float, limit_px: float
+) -> None:
+    """Full-size images with all that a rig departs from its drawing; rms, and each row's mean.
+
+    Blur that grows within a corner's window is no part of the estimator's model: in images without
+    noise it then fades out pixels that it cannot explain, hence the wider limit.
+    """
+    optics = replace(clean().optics, corner_blur=corner_blur)
+    world = World(site(shrink=1), clean(seed=seed, optics=optics))
     true, target = world.geometry, world.site.sub_target
     image = world.render("sub", SimSettings().start_utc)
     index, error = _corner_errors(image, true.sub, true.T_CS_WS, true.board, target)
     assert len(error) > 800
-    assert np.sqrt((error**2).mean(axis=0)).max() < 0.001
-    rows = [error[index[:, 0] == j].mean(axis=0) for j in np.unique(index[:, 0])]
-    assert np.abs(rows).max() < 0.002
+    assert np.sqrt((error**2).mean(axis=0)).max() < limit_px
+    assert np.abs(_line_means(index[:, 0], error)).max() < limit_px
 
 
 @pytest.mark.parametrize("shrink", [1, 2, 4])
