@@ -13,7 +13,7 @@ from core.frames import GreyImage
 from core.measurement import measure_pair
 from core.results import Measurement
 from core.site import FloatArray, Site
-from drivers.sim.settings import SimSettings
+from drivers.sim.settings import Scenario, SimSettings
 from drivers.sim.world import Truth, World
 from tests.core.scenes import (
     MINUTE,
@@ -66,6 +66,12 @@ class Session:
         """The same views by another method."""
         calibration, report = calibrate(self.views, self.site, method)
         return replace(self, calibration=calibration, report=report)
+
+    def with_world(self, *scenarios: Scenario, **changes: object) -> Session:
+        """The same rig and calibration in other weather, or with other cameras or motion."""
+        settings = self.world.settings
+        changed = replace(settings, scenarios=(*settings.scenarios, *scenarios), **changes)
+        return replace(self, world=World(self.site, changed))
 
     def pair(self, t_utc: datetime) -> tuple[GreyImage, GreyImage]:
         """Main and sub image of an instant."""

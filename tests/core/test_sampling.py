@@ -16,7 +16,7 @@ from core.site import FloatArray
 from tests.core.derivatives import by_differences
 from tests.core.sampling import BOARD, SITE, calibrated, discs_of, draw
 
-TRIALS = 16
+TRIALS = 10
 FREE_LENS = [0, 1, 3, 4, 5, 6, 7, 8, 9]
 """All but the skew, which is held."""
 
