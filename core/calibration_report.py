@@ -10,7 +10,13 @@ import numpy as np
 
 from core.compensation import affine_error_px
 from core.dual import Fit, Recipe, main_misses_px, rig_prior
-from core.observability import DriftError, determined_share, drift_errors, model_sentence
+from core.observability import (
+    DriftError,
+    determined_share,
+    drift_errors,
+    further_motion,
+    model_sentence,
+)
 from core.paper import PaperModel
 from core.rig import Rig
 from core.setup import Setup
@@ -60,6 +66,9 @@ def write_report(
         "expected error after correction (1 sigma, from the calibration alone): "
         + ", ".join(f"{d.motion} {d.sigma_mm:.3f} mm" for d in drift),
     ]
+    advice = further_motion(setup, recipe.site.quality)
+    if advice is not None:
+        lines.append(advice)
     if len(held_out):
         lines.append(
             f"validated on {len(held_out)} held-out positions: {_rms(held_out):.4f} mm rms, "

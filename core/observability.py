@@ -75,10 +75,7 @@ def drift_errors(setup: Setup, limits: QualityLimits) -> tuple[DriftError, ...]:
     amounts = [limits.expected_drift_mrad * 1e-3] * 3 + [limits.expected_drift_mm] * 3
     errors = []
     for axis, (name, amount) in enumerate(zip(_AXES, amounts, strict=True)):
-        vector = np.zeros(6)
-        vector[axis] = amount
-        sigma = motion_sigma_mm(setup, Pose.from_vectors(vector[:3], vector[3:]))
-        errors.append(DriftError(name, sigma))
+        errors.append(DriftError(name, motion_sigma_mm(setup, _along(axis, amount))))
     return tuple(errors)
 
 
@@ -88,20 +85,97 @@ def motion_sigma_mm(setup: Setup, motion: Pose) -> float:
     Model and reference are propagated; the lens and the board act on each frame's pose and are
     part of a measurement's own sigma.
     """
-    reference_px = setup.reference_discs_px[np.isfinite(setup.reference_discs_px).all(axis=1)]
-    prediction = predict_shift(setup.model, reference_px, motion)
-    still = predict_shift(setup.model, reference_px, Pose.identity())
-    by_model = (prediction.by_model - still.by_model).mean(axis=0)
-    # The reference enters every frame alike; what matters here is how its effect changes.
-    by_reference = prediction.by_motion.mean(axis=0) @ motion_by_reference(
-        motion, setup.reference_pose
-    ) - still.by_motion.mean(axis=0) @ motion_by_reference(Pose.identity(), setup.reference_pose)
-    n_model = by_model.shape[1]
-    start = len(setup.covariance) - n_model - 6
-    jacobian = np.concatenate([by_model, by_reference], axis=1)
-    covariance = jacobian @ setup.covariance[start:, start:] @ jacobian.T
-    to_mm = np.linalg.inv(setup.B)
+    return _sigma_mm(setup, motion, _model_covariance(setup))
+
+
+def _model_covariance(setup: Setup) -> FloatArray:
+    """Of the model's parameters and the reference pose."""
+    start = 23
+    return setup.covariance[start:, start:]
+
+
+def _sigma_mm(setup: Setup, motion: Pose, covariance: FloatArray) -> float:
+    jacobian = _change_jacobian(setup, motion)
+    to_mm = np.linalg.inv(setup.B) @ jacobian
     return float(np.sqrt(np.linalg.eigvalsh(to_mm @ covariance @ to_mm.T).max()))
+
+
+def _change_jacobian(setup: Setup, motion: Pose) -> FloatArray:
+    """d(predicted shift for a motion minus that for none) by model and reference pose, (2, m)."""
+    reference_px = setup.reference_discs_px[np.isfinite(setup.reference_discs_px).all(axis=1)]
+    parts = []
+    for T_CSj_CS1 in (motion, Pose.identity()):
+        prediction = predict_shift(setup.model, reference_px, T_CSj_CS1)
+        by_reference = motion_by_reference(T_CSj_CS1, setup.reference_pose)
+        parts.append(
+            np.concatenate(
+                [
+                    prediction.by_model.mean(axis=0),
+                    prediction.by_motion.mean(axis=0) @ by_reference,
+                ],
+                axis=1,
+            )
+        )
+    return np.asarray(parts[0] - parts[1])
+
+
+_FURTHER: tuple[tuple[str, int, float | None], ...] = (
+    ("pan the rig further, by {mrad:.0f} mrad both ways", 1, None),
+    ("tilt the rig further, by {mrad:.0f} mrad both ways", 0, None),
+    ("roll the rig about the viewing axis, by 10 mrad both ways (a wedge under one side)", 2, 0.01),
+    ("slide the rig sideways, by 5 mm both ways", 3, 5.0),
+    ("slide the rig up and down, by 5 mm both ways", 4, 5.0),
+    ("slide the rig along the viewing axis, by 5 mm both ways", 5, 5.0),
+)
+"""What to do, the axis it moves along, and how far (rad or mm); None is twice what was made."""
+_DISC_NOISE_PX = 0.005
+_WORTHWHILE = 0.7
+
+
+def further_motion(setup: Setup, limits: QualityLimits) -> str | None:
+    """Say which further motion would sharpen the worst drift correction most, or None.
+
+    Each candidate is added to the calibration as two positions either way, seen with the
+    reference's own pose noise (a Kalman update of model and reference).
+    """
+    amounts = [limits.expected_drift_mrad * 1e-3] * 3 + [limits.expected_drift_mm] * 3
+    drifts = [_along(axis, amount) for axis, amount in enumerate(amounts)]
+    covariance = _model_covariance(setup)
+    now = [_sigma_mm(setup, drift, covariance) for drift in drifts]
+    turn = 2.0 * setup.levels.max_rotation_rad
+    best, words = max(now), ""
+    for text, axis, amount in _FURTHER:
+        step = turn if amount is None else amount
+        updated = _with_positions(setup, covariance, [_along(axis, step), _along(axis, -step)] * 2)
+        worst = max(_sigma_mm(setup, drift, updated) for drift in drifts)
+        if worst < best:
+            best, words = worst, text.format(mrad=turn * 1e3)
+    if not words or best > _WORTHWHILE * max(now):
+        return None
+    return (
+        f"to improve most: {words}; the worst of these, {_AXES[int(np.argmax(now))]}, would go "
+        f"from {max(now):.3f} mm to about {best:.3f} mm"
+    )
+
+
+def _along(axis: int, amount: float) -> Pose:
+    vector = np.zeros(6)
+    vector[axis] = amount
+    return Pose.from_vectors(vector[:3], vector[3:])
+
+
+def _with_positions(setup: Setup, covariance: FloatArray, motions: Sequence[Pose]) -> FloatArray:
+    """The covariance after the rig has been seen at further positions."""
+    middle = setup.reference_discs_px[np.isfinite(setup.reference_discs_px).all(axis=1)]
+    still = predict_shift(setup.model, middle, Pose.identity())
+    by_pose = still.by_motion.mean(axis=0)
+    pose_noise = covariance[-6:, -6:]
+    for motion in motions:
+        jacobian = _change_jacobian(setup, motion)
+        noise = _DISC_NOISE_PX**2 * np.eye(2) + by_pose @ pose_noise @ by_pose.T
+        gain = np.linalg.solve(jacobian @ covariance @ jacobian.T + noise, jacobian @ covariance)
+        covariance = covariance - covariance @ jacobian.T @ gain
+    return covariance
 
 
 def determined_share(setup: Setup, prior_sigma: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ CORNER_REACH_SQUARES = 0.46
 """The model covers the pixels nearer to this corner than to its neighbours."""
 _SAMPLE_BAND_PX, _BAND_PX, _BAND_BLURS = 8.0, 2.0, 2.6
 """Pixels further than this (plus so many blur widths) from both edges are flat and add nothing."""
+_MODEL_SHARE = 0.007
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +57,13 @@ def locate_corners(
     to_px = np.linalg.inv(maps[:, :, :2])
     half = 1.05 * reach_squares * np.abs(to_px).sum(axis=2).max(axis=1) + 1.0
     limits = np.array([reach_squares, _SAMPLE_BAND_PX, saturation_dn])
-    noise, blur = _typical(grey, points_px, maps, half, limits)
+    scale_dn, blur = _typical(grey, points_px, maps, half, limits)
     limits[1] = _BAND_PX + _BAND_BLURS * blur
     n = len(points_px)
     state = np.zeros((n, CORNER_PARAMETERS))
     state[:, 8] = blur
     information, figures = np.zeros((n, 2, 2)), np.zeros((n, 4))
-    scale = np.full(n, noise)
+    scale = np.full(n, scale_dn)
     fit_corners(grey, points_px, maps, half, scale, limits, 6, state, information, figures)
     ok = figures[:, 3] > 0
     noise_each = _noise(figures, CORNER_PARAMETERS)
@@ -79,7 +80,11 @@ def locate_corners(
 def _typical(
     grey: FloatArray, points: FloatArray, maps: FloatArray, half: FloatArray, limits: FloatArray
 ) -> tuple[float, float]:
-    """Median rms residual, DN, and blur, px, of a sample of corners."""
+    """Scale of the residuals, DN, and blur, px, by the median of a sample of corners.
+
+    The scale is their rms, or what of the contrast a blur that changes over a corner's pixels
+    may leave unexplained, whichever is larger.
+    """
     some = slice(None, None, max(1, len(points) // 60))
     at, around, reach = (np.ascontiguousarray(array[some]) for array in (points, maps, half))
     n = len(at)
@@ -90,8 +95,9 @@ def _typical(
     ok = figures[:, 3] > 0
     if not ok.any():
         return 1.0, 1.0
-    noise = _noise(figures, CORNER_PARAMETERS)[ok]
-    return float(np.median(noise)), float(np.median(state[ok, 8]))
+    noise = float(np.median(_noise(figures, CORNER_PARAMETERS)[ok]))
+    contrast = 2.0 * float(np.median(np.abs(state[ok, 5])))
+    return max(noise, _MODEL_SHARE * contrast), float(np.median(state[ok, 8]))
 
 
 def _noise(figures: FloatArray, parameters: int) -> FloatArray:

@@ -1,4 +1,4 @@
-"""A calibration says which further motion would sharpen it most, in words an engineer can act on."""
+"""A calibration says which further motion would sharpen it most, for an engineer to act on."""
 
 from __future__ import annotations
 
