@@ -118,29 +118,33 @@ def calibrate_and_store(
     accept: bool,
     as_json: bool,
 ) -> int:
-    """Calibrate on a frame set, tell the result, store it; give the exit code."""
+    """Calibrate on a frame set, store the result, tell it; give the exit code.
+
+    Only a question shows the report before it is stored: a reader of stdout that goes away
+    (`| head`) must not cost the calibration.
+    """
     frames = views_in(directory)
+    asks = sys.stdin.isatty() and not (accept or as_json)
     with open_store(state) as store:
         with progress(len(frames.rows) + 1, "calibrating") as steps:
             run = calibrate_frames(frames, config.site(), method, steps.next, skew=skew)
-        if not as_json:
+        passed = run.report.passed
+        if asks:
             say_report(run)
-        activate = accept or is_wanted(run)
-        number = store_run(store, run, config, created_utc, activate=activate)
-    if as_json:
-        print_json(calibration_fields(run, number, active=activate))
-    else:
-        say(f"Stored as calibration {number}, {'active now' if activate else 'not active'}.")
-    if accept and not run.report.passed:
+            question = "Make it the active calibration?"
+            active = click.confirm(question, default=passed, err=True)
+        else:
+            active = accept or passed
+        number = store_run(store, run, config, created_utc, activate=active)
+    if accept and not passed:
         note("warning: accepted although it did not pass")
-    return ExitCode.DONE if run.report.passed or activate else ExitCode.FAILED
-
-
-def is_wanted(run: CalibrationRun) -> bool:
-    """Ask whether to use a calibration, if there is someone to ask; else it must have passed."""
-    if not sys.stdin.isatty():
-        return run.report.passed
-    return click.confirm("Make it the active calibration?", default=run.report.passed, err=True)
+    if as_json:
+        print_json(calibration_fields(run, number, active=active))
+        return ExitCode.DONE if passed or active else ExitCode.FAILED
+    if not asks:
+        say_report(run)
+    say(f"Stored as calibration {number}, {'active now' if active else 'not active'}.")
+    return ExitCode.DONE if passed or active else ExitCode.FAILED
 
 
 def say_report(run: CalibrationRun) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import sqlite3
 import subprocess
@@ -260,6 +261,27 @@ def test_pan_tilt_takes_views_keeps_them_and_calibrates_on_them(ctl: Ctl, tmp_pa
     for name in ("sub_rms_px", "main_rms_px", "depth_mm"):
         figure = json.loads(again.out)["figures"][name]
         assert figure == pytest.approx(result["figures"][name], rel=1e-9)
+
+
+def test_a_reader_that_goes_away_does_not_cost_the_calibration(bench: Path, tmp_path: Path) -> None:
+    """`calibrate | head -1`: stdout is closed before the first line of the report."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [
+        *(sys.executable, "-u", "-m", "daemon.ctl", "--config", bench / "dcam.toml"),
+        *("--state", tmp_path / "state", "calibrate", "--from", bench / "set"),
+    ]
+    with os.fdopen(writing, "w") as nobody:
+        subprocess.run(
+            command,
+            cwd=Path(__file__).parents[2],
+            stdin=subprocess.DEVNULL,
+            stdout=nobody,
+            stderr=subprocess.DEVNULL,
+            check=False,
+        )
+    with open_store_readonly(tmp_path / "state") as store:
+        assert store.active_calibration() is not None
 
 
 @pytest.mark.parametrize(("answer", "active"), [("n", False), ("", True)])
