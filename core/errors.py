@@ -20,4 +20,8 @@ class NotObservableError(CalibrationError):
 
 
 class ImageError(CoreError):
-    """An array is not a usable greyscale image of the configured size."""
+    """An array is not a usable greyscale image."""
+
+
+class ImageSizeError(ImageError):
+    """An image is not of the configured size."""

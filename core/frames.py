@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from core.errors import ImageError
+from core.errors import ImageError, ImageSizeError
 from core.site import CameraGeometry
 
 PixelArray = NDArray[np.uint8] | NDArray[np.uint16]
@@ -29,7 +29,7 @@ class GreyImage:
 
 
 def require_size(image: GreyImage, camera: CameraGeometry, what: str) -> None:
-    """Raise ImageError unless the image is greyscale and of the camera's size."""
+    """Raise ImageError unless an image is greyscale, ImageSizeError unless it fits the camera."""
     shape = image.pixels.shape
     if len(shape) != 2:
         msg = f"{what}: not a greyscale image (array of shape {shape})"
@@ -39,4 +39,4 @@ def require_size(image: GreyImage, camera: CameraGeometry, what: str) -> None:
             f"{what}: image is {shape[1]}x{shape[0]} px, the config says "
             f"{camera.width_px}x{camera.height_px}"
         )
-        raise ImageError(msg)
+        raise ImageSizeError(msg)

@@ -8,7 +8,7 @@ from core.calibration import Calibration
 from core.compensation import corrected_displacement, raw_displacement, rig_motion
 from core.corners import LocatedBoard, locate_board
 from core.discs import Discs, find_discs
-from core.errors import ImageError, TargetNotFoundError
+from core.errors import ImageError, ImageSizeError, TargetNotFoundError
 from core.frames import GreyImage, require_size
 from core.quality import (
     flag_of,
@@ -88,6 +88,8 @@ def _see_main(
         return None, [Reason.MAIN_IMAGE_MISSING]
     try:
         require_size(image, site.main, "main image")
+    except ImageSizeError:
+        return None, [Reason.MAIN_IMAGE_WRONG_SIZE]
     except ImageError:
         return None, [Reason.MAIN_IMAGE_UNREADABLE]
     reasons = [Reason.OVEREXPOSED] if overexposed(image) else []
@@ -107,6 +109,8 @@ def _see_sub(
         return None, [Reason.SUB_IMAGE_MISSING]
     try:
         require_size(image, site.sub, "sub image")
+    except ImageSizeError:
+        return None, [Reason.SUB_IMAGE_WRONG_SIZE]
     except ImageError:
         return None, [Reason.SUB_IMAGE_UNREADABLE]
     reasons = [Reason.OVEREXPOSED] if overexposed(image) else []

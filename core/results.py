@@ -22,6 +22,8 @@ class Reason(StrEnum):
 
     MAIN_IMAGE_UNREADABLE = "main_image_unreadable"
     SUB_IMAGE_UNREADABLE = "sub_image_unreadable"
+    MAIN_IMAGE_WRONG_SIZE = "main_image_wrong_size"
+    SUB_IMAGE_WRONG_SIZE = "sub_image_wrong_size"
     MAIN_IMAGE_MISSING = "main_image_missing"
     SUB_IMAGE_MISSING = "sub_image_missing"
     TOO_DARK = "too_dark"

@@ -16,6 +16,7 @@ from core.calibration import Calibration
 from core.errors import CalibrationError
 from core.frames import GreyImage
 from core.measurement import measure_pair
+from core.quality import flag_of
 from core.results import Flag, Measurement, Reason
 from core.site import Site
 from daemon.store.database import Store
@@ -183,7 +184,8 @@ def measure_images(
         return _bad(Reason.INTERNAL_ERROR)
     said = {_MISSING[role]: _UNREADABLE[role] for role in unreadable}
     reasons = tuple(said.get(reason, reason) for reason in measurement.reasons)
-    return replace(measurement, reasons=reasons)
+    flag = flag_of(reasons, has_value=measurement.corrected is not None)
+    return replace(measurement, flag=flag, reasons=reasons)
 
 
 def active_calibration(store: Store) -> ActiveCalibration | None:

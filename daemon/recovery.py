@@ -12,7 +12,7 @@ from pathlib import Path
 import structlog
 
 from daemon.pipeline import Pipeline, record_late
-from daemon.schedule import Schedule
+from daemon.schedule import SECOND, Schedule
 from daemon.store.database import Store
 from daemon.store.errors import StoreError
 from daemon.store.records import EPOCH, GapCause, Mark
@@ -40,7 +40,7 @@ def recover(line: Pipeline, schedule: Schedule, boot_id: str) -> datetime | None
     """
     cause, detail = why_absent(line.store, boot_id)
     close_gap(line, schedule, cause, detail)
-    mark_start(line, boot_id)
+    mark_start(line, schedule, boot_id)
     last_row = line.store.last_slot()
     since = EPOCH if last_row is None else last_row - LOOK_BACK
     line.archive.mend(since)
@@ -109,10 +109,12 @@ def measure_orphans(line: Pipeline, since: datetime) -> int:
     return late
 
 
-def mark_start(line: Pipeline, boot_id: str) -> None:
+def mark_start(line: Pipeline, schedule: Schedule, boot_id: str) -> None:
     """Note that a daemon runs: from now on its absence is a crash or a loss of power."""
     accounted = line.store.accounted()
     now_utc = line.clock.now_utc()
+    # A slot that is due just now is still to be taken.
+    now_utc = min(now_utc, schedule.next_slot(now_utc, None) - SECOND)
     # A clock that woke in the past must not move the beginning of the next gap there.
     mark_finished(line.store, max(now_utc, accounted[1]) if accounted else now_utc)
     line.store.set_mark(Mark.BOOT_ID, boot_id)

@@ -157,6 +157,21 @@ def test_insect_on_a_disc_is_suspect_and_still_right(lab: Session) -> None:
         _assert_close(row)
 
 
+def test_a_disc_covered_in_part_is_suspect_and_not_used(lab: Session, pair) -> None:
+    """A twig over a third of a disc: named, and the value is the other four discs'."""
+    good = measure_pair(*pair, lab.site, lab.calibration)
+    at_px = lab.world.disc_centres_px(lab.world.settings.start_utc + 100 * MINUTE)[1]
+    u, v = np.rint(at_px).astype(int)
+    pixels = pair[0].pixels.copy()
+    pixels[v - 40 : v + 40, u + 9 : u + 40] = 12
+    measured = measure_pair(GreyImage(pixels), pair[1], lab.site, lab.calibration)
+    assert measured.flag is Flag.SUSPECT
+    assert measured.reasons == (Reason.MAIN_TARGET_PARTLY_HIDDEN,)
+    assert measured.corrected is not None
+    assert good.corrected is not None
+    assert measured.corrected.mm == pytest.approx(good.corrected.mm, abs=0.002)
+
+
 def test_insect_on_the_board_is_suspect_and_still_right(lab: Session) -> None:
     for row in _rows(lab.with_world(Scenario("insect_sub"))):
         assert row.measurement.flag is Flag.SUSPECT
@@ -249,16 +264,16 @@ def test_the_affine_camera_is_refused_where_equation_5_fails(lab: Session, paper
         ("good", "white", Flag.BAD, {Reason.OVEREXPOSED, Reason.SUB_TARGET_NOT_FOUND}),
         ("grey", "good", Flag.BAD, {Reason.MAIN_TARGET_NOT_FOUND}),
         ("noise", "noise", Flag.BAD, {Reason.MAIN_TARGET_NOT_FOUND, Reason.SUB_TARGET_NOT_FOUND}),
-        ("small", "good", Flag.BAD, {Reason.MAIN_IMAGE_UNREADABLE}),
-        ("good", "small", Flag.BAD, {Reason.SUB_IMAGE_UNREADABLE}),
+        ("small", "good", Flag.BAD, {Reason.MAIN_IMAGE_WRONG_SIZE}),
+        ("good", "small", Flag.BAD, {Reason.SUB_IMAGE_WRONG_SIZE}),
         ("colour", "good", Flag.BAD, {Reason.MAIN_IMAGE_UNREADABLE}),
         ("good", "colour", Flag.BAD, {Reason.SUB_IMAGE_UNREADABLE}),
-        ("empty", "empty", Flag.BAD, {Reason.MAIN_IMAGE_UNREADABLE, Reason.SUB_IMAGE_UNREADABLE}),
+        ("empty", "empty", Flag.BAD, {Reason.MAIN_IMAGE_WRONG_SIZE, Reason.SUB_IMAGE_WRONG_SIZE}),
         (
             "swapped",
             "swapped",
             Flag.BAD,
-            {Reason.MAIN_IMAGE_UNREADABLE, Reason.SUB_IMAGE_UNREADABLE},
+            {Reason.MAIN_IMAGE_WRONG_SIZE, Reason.SUB_IMAGE_WRONG_SIZE},
         ),
     ],
 )

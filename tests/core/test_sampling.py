@@ -14,7 +14,7 @@ from core.resection import BoardView, resect
 from core.rig import Rig
 from core.site import FloatArray
 from tests.core.derivatives import by_differences
-from tests.core.sampling import BOARD, SITE, calibrated, discs_of, draw
+from tests.core.sampling import BOARD, DISC_PX, SITE, calibrated, discs_of, draw
 
 TRIALS = 10
 FREE_LENS = [0, 1, 3, 4, 5, 6, 7, 8, 9]
@@ -79,6 +79,7 @@ def test_the_views_teach_what_the_drawing_does_not() -> None:
     assert sigma[2] < 0.5 * prior_rad
     assert np.all(sigma <= 1.001 * np.array([prior_rad] * 3 + [3.0] * 3 + [20 / 11000, 2e-3]))
     assert adjusted.scale == pytest.approx(1.0, abs=0.15)
+    assert adjusted.main_rms_px < 2.0 * DISC_PX
 
 
 def test_pose_follows_lens_and_board_as_predicted() -> None:

@@ -105,6 +105,14 @@ def test_first_start_has_no_gap_before_it(station) -> None:
     assert station.gaps() == []
 
 
+def test_a_slot_that_is_due_at_the_first_start_is_taken(station) -> None:
+    """The first start falls on a slot, or just after it: that slot is the record's first."""
+    station.clock.set_utc(slot(0) + timedelta(seconds=1))
+    station.run(2)
+    assert station.minutes() == [0, 1]
+    assert station.gaps() == []
+
+
 def test_crash_before_the_first_slot_is_accounted_from_the_start(station) -> None:
     station.start()
     station.clock.advance(180)
