@@ -189,6 +189,26 @@ def _sum_up(
 
 
 @_fast
+def _advance(
+    normal: FloatArray, right: FloatArray, factor: FloatArray, p: FloatArray
+) -> tuple[bool, float, float]:
+    """Take a Gauss-Newton step of the parameters p.
+
+    Gives whether the normal matrix is positive, by how much the sum of squares falls, and how
+    far the first two parameters, a shift in px, went. factor is room to work in.
+    """
+    factor[:, :] = normal
+    step = right.copy()
+    if not solve_spd(factor, step, len(p)):
+        return False, 0.0, 0.0
+    improved = 0.0
+    for a in range(len(p)):
+        p[a] += step[a]
+        improved += right[a] * step[a]
+    return True, improved, abs(step[0]) + abs(step[1])
+
+
+@_fast
 def _pixel_weight(miss: float, scale: float) -> float:
     """Full weight within 3 scale, fading as Geman-McClure beyond; 1 when scale is 0."""
     if scale <= 0.0:
@@ -242,7 +262,7 @@ def fit_corners(
     """
     n = CORNER_PARAMETERS
     normal, right, frame = np.zeros((n, n)), np.zeros(n), np.zeros(6)
-    factor, gradient = np.zeros((n, n)), np.zeros(n)
+    factor = np.zeros((n, n))
     room = int(2 * half.max() + 4) ** 2 if len(half) else 0
     pixels, rows = np.zeros((3, room)), np.zeros((n, room))
     miss, weight = np.zeros(room), np.ones(room)
@@ -264,16 +284,8 @@ def fit_corners(
                 if step > 0:
                     weight[i] = _pixel_weight(miss[i], scale[k])
             _sum_up(rows, miss, weight, count, normal, right)
-            factor[:, :] = normal
-            gradient[:] = right
-            if not solve_spd(factor, right, n):
-                usable = False
-                break
-            improved = 0.0
-            for a in range(n):
-                p[a] += right[a]
-                improved += gradient[a] * right[a]
-            if step > 0 and abs(right[0]) + abs(right[1]) < _SETTLED_PX:
+            usable, improved, moved_px = _advance(normal, right, factor, p)
+            if not usable or (step > 0 and moved_px < _SETTLED_PX):
                 break
             p[8] = min(max(p[8], 0.35), 6.0)
             if abs(p[0]) + abs(p[1]) > 0.5 * half[k]:
@@ -396,7 +408,7 @@ def fit_discs(
     """
     n = DISC_PARAMETERS
     normal, right = np.zeros((n, n)), np.zeros(n)
-    factor, gradient = np.zeros((n, n)), np.zeros(n)
+    factor = np.zeros((n, n))
     largest = 0.0
     for k in range(len(points)):
         largest = max(largest, max(state[k, 2], state[k, 4]) + abs(state[k, 3]))
@@ -418,16 +430,8 @@ def fit_discs(
                 if step > 0:
                     weight[i] = _pixel_weight(miss[i], scale)
             _sum_up(rows, miss, weight, count, normal, right)
-            factor[:, :] = normal
-            gradient[:] = right
-            if not solve_spd(factor, right, n):
-                usable = False
-                break
-            improved = 0.0
-            for a in range(n):
-                p[a] += right[a]
-                improved += gradient[a] * right[a]
-            if step > 1 and abs(right[0]) + abs(right[1]) < _SETTLED_PX:
+            usable, improved, moved_px = _advance(normal, right, factor, p)
+            if not usable or (step > 1 and moved_px < _SETTLED_PX):
                 break
             p[11] = min(max(p[11], 0.35), 12.0)
             if not (p[2] > 1.0 and p[4] > 1.0 and p[2] * p[4] > p[3] * p[3]):
