@@ -54,10 +54,11 @@ CPU time of one core. {pair.corners} corners were fitted.
 | --- | --- | --- |
 {table}
 
-A pair takes {pair.measure_s / pair.decode_s:.1f} times as long as decoding its images. That of
-OpenCV is no full measurement: corners are given to it, not found, and no disc is looked for. Over
-these pairs the false displacement was {pair.rms_false_mm:.2f} mm rms, and the corrected one was
-wrong by {pair.rms_error_mm:.3f} mm rms.
+A pair takes {pair.measure_s / pair.decode_s:.1f} times as long as decoding its images. OpenCV's
+figure is no full measurement: corners are given to it, not found, and no disc is looked for.
+
+Over these pairs the false displacement was {pair.rms_false_mm:.2f} mm rms, and the corrected
+displacement was wrong by {pair.rms_error_mm:.3f} mm rms.
 
 ## Memory
 
