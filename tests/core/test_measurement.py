@@ -301,7 +301,19 @@ def test_an_image_that_shows_nothing_has_its_reason(lab, pair, main, sub, flag, 
     assert set(measured.reasons) == reasons
 
 
-@pytest.mark.parametrize("seed", range(2, 22))
+def test_images_of_the_other_camera(lab: Session, pair) -> None:
+    """Cables swapped at a site whose cameras are alike: bad, not a number."""
+    sub = lab.site.sub
+    alike = replace(lab.site, main=replace(lab.site.main, width_px=480, height_px=300))
+    assert (sub.width_px, sub.height_px) == (480, 300)
+    main = GreyImage(np.ascontiguousarray(pair[0].pixels[50:350, 80:560]))
+    measured = measure_pair(pair[1], main, alike, lab.calibration)
+    _assert_consistent(measured)
+    assert measured.flag is Flag.BAD
+    assert Reason.SUB_TARGET_NOT_FOUND in measured.reasons
+
+
+@pytest.mark.parametrize("seed", range(20))
 def test_whatever_happens_to_the_images(lab: Session, pair, seed) -> None:
     """Covered, shaded, noisy, blurred, dim or spotted: consistent, and right if called good."""
     rng = np.random.default_rng(seed)
