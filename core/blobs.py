@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from core.site import FloatArray, IntArray
+from core.site import BoolArray, FloatArray, IntArray
 
 _LEVELS = 14
 _MIN_RADIUS_PX = 3.0
@@ -30,6 +30,14 @@ class Blobs:
     def radius_px(self) -> FloatArray:
         """(n,) mean radius."""
         return np.asarray(np.trace(self.outline_px, axis1=1, axis2=2) / 2.0)
+
+    def select(self, which: BoolArray | IntArray) -> Blobs:
+        """Give some of them."""
+        return Blobs(self.points_px[which], self.outline_px[which], self.contrast_dn[which])
+
+    def strongest(self, most: int) -> Blobs:
+        """Give those of the highest contrast, at most so many."""
+        return self.select(np.sort(np.argsort(-self.contrast_dn)[:most]))
 
 
 def find_blobs(

@@ -10,7 +10,7 @@ import numpy as np
 from core.board import Board
 from core.errors import TargetNotFoundError
 from core.frames import GreyImage
-from core.lattice import NamedLattice, join, name_on_board
+from core.lattice import Lattice, NamedLattice, join, name_near, name_on_board
 from core.lens import Lens
 from core.photometric import CORNER_REACH_SQUARES, CornerFits, as_float, locate_corners
 from core.pose import Pose
@@ -21,6 +21,8 @@ from core.site import BoolArray, FloatArray, IntArray
 _FIRST_REACH_PX, _FIRST_REACH_SQUARES = 7.0, 0.3
 """Small at first: without the lens, the edges are only straight near the corner."""
 _STENCIL_SQUARES = 0.5
+_CLEARLY_BETTER = 1.5
+_ROUGH_MISFIT_SQUARES = 0.1
 _HALF_SIZE_SQUARE_PX = 30.0
 """Squares expected larger than this are found as well in the image at half size."""
 
@@ -45,7 +47,8 @@ def detect_board(image: GreyImage, board: Board) -> LocatedBoard:
     Raises TargetNotFoundError.
     """
     grey = as_float(image)
-    named = _find(grey, board, None)
+    height, width = grey.shape
+    named = name_on_board(_lattice(grey), board, width, height)
     maps = np.zeros((len(named.index), 2, 5))
     maps[:, :, :2] = np.linalg.inv(named.steps_px)
     square_px = float(np.median(np.linalg.norm(named.steps_px, axis=1)))
@@ -55,26 +58,39 @@ def detect_board(image: GreyImage, board: Board) -> LocatedBoard:
 
 
 def locate_board(
-    image: GreyImage,
-    lens: Lens,
-    board: Board,
-    corners_mm: FloatArray,
-    expected: Pose | None = None,
+    image: GreyImage, lens: Lens, board: Board, corners_mm: FloatArray, expected: Pose
 ) -> LocatedBoard:
     """Find the board, then locate all its corners with the lens and the board known.
 
     The expected pose `T_CS_WS` decides which corners are seen where the board's border does
-    not. Raises TargetNotFoundError.
+    not. Where both leave a doubt, the corners themselves decide, by how well they fit the board
+    as it was printed. Raises TargetNotFoundError.
     """
     grey = as_float(image)
-    expected_px = None if expected is None else lens.project(expected.apply(corners_mm))
-    square_px = lens.parameters[0] * board.square_mm / expected.t_mm[2] if expected else 0.0
-    named = _find(grey, board, expected_px, half_size=square_px > _HALF_SIZE_SQUARE_PX)
-    rough = BoardView(
-        named.index, named.points_px, np.broadcast_to(0.05**2 * np.eye(2), (len(named.index), 2, 2))
-    )
-    pose = resect(lens, corners_mm, rough, expected).pose
-    return refine_board(image, lens, pose, board, corners_mm, certain=named.certain)
+    square_px = lens.parameters[0] * board.square_mm / expected.t_mm[2]
+    lattice = _lattice(grey, half_size=square_px > _HALF_SIZE_SQUARE_PX)
+    height, width = grey.shape
+    expected_px = lens.project(expected.apply(corners_mm))
+    tried = []
+    for named in name_near(lattice, board, width, height, expected_px):
+        pose = _rough_pose(lens, corners_mm, named, expected)
+        located = refine_board(image, lens, pose, board, corners_mm, certain=named.certain)
+        tried.append((resect(lens, corners_mm, located.view, pose).plain_rms_px, located))
+    tried.sort(key=lambda attempt: attempt[0])
+    if len(tried) > 1 and tried[1][0] > _CLEARLY_BETTER * tried[0][0]:
+        return replace(tried[0][1], certain=True)
+    return tried[0][1]
+
+
+def _rough_pose(lens: Lens, corners_mm: FloatArray, named: NamedLattice, expected: Pose) -> Pose:
+    """Pose from corners that are right to some hundredths of a pixel."""
+    covariance = np.broadcast_to(0.05**2 * np.eye(2), (len(named.index), 2, 2))
+    found = resect(lens, corners_mm, BoardView(named.index, named.points_px, covariance), expected)
+    step_px = float(np.median(np.linalg.norm(named.steps_px, axis=1)))
+    if found.plain_rms_px > _ROUGH_MISFIT_SQUARES * step_px:
+        msg = f"sub target: what looks like a board does not fit it, by {found.plain_rms_px:.1f} px"
+        raise TargetNotFoundError(msg)
+    return found.pose
 
 
 def refine_board(
@@ -99,19 +115,13 @@ def refine_board(
     return _located(index, locate_corners(grey, image.saturation_dn, points, maps), certain=certain)
 
 
-def _find(
-    grey: FloatArray, board: Board, expected_px: FloatArray | None, *, half_size: bool = False
-) -> NamedLattice:
+def _lattice(grey: FloatArray, *, half_size: bool = False) -> Lattice:
     """Find the board's corners, to some hundredths of a pixel; at half size if that will do."""
-    height, width = grey.shape
-    if half_size:
-        resized = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        small = np.asarray(resized, dtype=np.float32)
-        saddles = find_saddles(small)
-        saddles = replace(saddles, points_px=2.0 * saddles.points_px + 0.5)
-    else:
-        saddles = find_saddles(grey)
-    return name_on_board(join(saddles), board, width, height, expected_px)
+    if not half_size:
+        return join(find_saddles(grey))
+    resized = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    saddles = find_saddles(np.asarray(resized, dtype=np.float32))
+    return join(replace(saddles, points_px=2.0 * saddles.points_px + 0.5))
 
 
 def _located(index: IntArray, fits: CornerFits, *, certain: bool) -> LocatedBoard:

@@ -19,6 +19,7 @@ _SCALE_TOLERANCE = 2.0
 _RADIUS_TOLERANCE = 0.25
 _PLACE_TOLERANCE = 0.12  # of the target's size
 _MIN_CLEAN = 0.5
+_MOST_CANDIDATES = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,16 +47,12 @@ def find_discs(
     """Find the main target in an image.
 
     At least three discs are needed. expected_px_per_mm, where known, refuses other sizes (by a
-    factor of two); expected_px (n, 2) are the discs' predicted places, which decide between
-    layouts that look alike. The camera is upright to within 50 degrees.
+    factor of two); expected_px (n, 2), NaN where unknown, are the discs' predicted places,
+    which decide between layouts that look alike. The camera is upright to within 50 degrees.
     Raises TargetNotFoundError.
     """
     grey = as_float(image)
-    smallest_mm = 0.5 * float(target.diameters_mm.min())
-    blobs = find_blobs(
-        grey,
-        None if expected_px_per_mm is None else smallest_mm * expected_px_per_mm / _SCALE_TOLERANCE,
-    )
+    blobs = _candidates(grey, target, expected_px_per_mm)
     names = _name(blobs, target, expected_px_per_mm, expected_px)
     if len(names) < MIN_DISCS:
         msg = (
@@ -88,6 +85,17 @@ def find_discs(
     )
 
 
+def _candidates(grey: FloatArray, target: CirclesTarget, expected_px_per_mm: float | None) -> Blobs:
+    """Round bright spots of a size that a disc may have; the clearest hundred."""
+    if expected_px_per_mm is None:
+        return find_blobs(grey).strongest(_MOST_CANDIDATES)
+    radii = 0.5 * target.diameters_mm * expected_px_per_mm
+    smallest, largest = radii.min() / _SCALE_TOLERANCE, radii.max() * _SCALE_TOLERANCE
+    blobs = find_blobs(grey, smallest)
+    fits = (blobs.radius_px > 0.8 * smallest) & (blobs.radius_px < 1.25 * largest)
+    return blobs.select(fits).strongest(_MOST_CANDIDATES)
+
+
 def _name(
     blobs: Blobs,
     target: CirclesTarget,
@@ -105,7 +113,8 @@ def _name(
             continue
         if expected_px is not None:
             away = [np.hypot(*(blobs.points_px[b] - expected_px[d])) for d, b in names]
-            cost += float(np.mean(away)) / 1000.0
+            away = [distance for distance in away if np.isfinite(distance)]
+            cost += float(np.mean(away)) / 1000.0 if away else 0.0
         if len(names) > len(best) or cost < best_cost:
             best, best_cost = names, cost
     return best

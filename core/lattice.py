@@ -150,55 +150,63 @@ class NamedLattice:
     """False if another position on the board would fit as well."""
 
 
-def name_on_board(
-    lattice: Lattice,
-    board: Board,
-    width_px: int,
-    height_px: int,
-    expected_px: FloatArray | None = None,
-) -> NamedLattice:
+def name_on_board(lattice: Lattice, board: Board, width_px: int, height_px: int) -> NamedLattice:
     """Find which corners of the board a lattice shows, from its parity and the board's border.
 
-    Where several positions remain, the one nearest to expected_px (corners, 2), the predicted
-    image of all corners, is taken, else the middle one, and `certain` is False unless the
-    prediction decides clearly. Without a prediction, turns by quarter turns are tried in the
-    order upright, right, left, upside down. Raises TargetNotFoundError.
+    Where several positions remain, the middle one is taken and `certain` is False. Turns by
+    quarter turns are tried in the order upright, right, left, upside down.
+    Raises TargetNotFoundError.
     """
     for quarter in (0, 1, 3, 2):
         turned = _turned(lattice, quarter)
-        places = _places(turned, board, _borders(turned, width_px, height_px))
+        places = _at_borders(turned, board, _places(turned, board), width_px, height_px)
         if places:
-            shift, certain = _choose(turned, board, places, expected_px)
-            ij = turned.ij + shift
-            index = board.index(ij[:, 0], ij[:, 1])
-            return NamedLattice(index, turned.points_px, _steps(turned), certain)
+            return _named(turned, board, places[len(places) // 2], certain=len(places) == 1)
+    raise TargetNotFoundError(_no_place(lattice, board))
+
+
+def name_near(
+    lattice: Lattice, board: Board, width_px: int, height_px: int, expected_px: FloatArray
+) -> tuple[NamedLattice, ...]:
+    """Give the places that a lattice may have on the board, the nearest to a prediction first.
+
+    expected_px (corners, 2) is the predicted image of all corners. One place comes back, and is
+    certain, if the prediction decides clearly and the borders seen do not speak against it.
+    What covers a part of the board can look like its border, so the nearest place counts even
+    against the borders. Raises TargetNotFoundError.
+    """
+    places = _places(lattice, board)
+    if not places:
+        raise TargetNotFoundError(_no_place(lattice, board))
+    ij = lattice.ij
+    away = {}
+    for i, j in places:
+        miss = lattice.points_px - expected_px[board.index(ij[:, 0] + i, ij[:, 1] + j)]
+        away[i, j] = float(np.median(np.hypot(miss[:, 0], miss[:, 1])))
+    places.sort(key=away.__getitem__)
+    bordered = _at_borders(lattice, board, places, width_px, height_px)
+    candidates = [places[0], *bordered[:1]]
+    # Places lie a diagonal step apart or more; the prediction must be much nearer to one.
+    if len(places) > 1 and len(bordered) != 1 and away[places[0]] > 0.5 * away[places[1]]:
+        candidates.append(places[1])
+    unique = list(dict.fromkeys(candidates))
+    return tuple(_named(lattice, board, place, certain=len(unique) == 1) for place in unique)
+
+
+def _named(
+    lattice: Lattice, board: Board, place: tuple[int, int], *, certain: bool
+) -> NamedLattice:
+    ij = lattice.ij + place
+    index = board.index(ij[:, 0], ij[:, 1])
+    return NamedLattice(index, lattice.points_px, _steps(lattice), certain)
+
+
+def _no_place(lattice: Lattice, board: Board) -> str:
     size = lattice.ij.max(axis=0) + 1
-    msg = (
+    return (
         f"no checkerboard: found {size[0]}x{size[1]} corners in the image, the board has "
         f"{board.columns}x{board.rows}"
     )
-    raise TargetNotFoundError(msg)
-
-
-def _choose(
-    lattice: Lattice,
-    board: Board,
-    places: list[tuple[int, int]],
-    expected_px: FloatArray | None,
-) -> tuple[tuple[int, int], bool]:
-    """Pick one of the places; say whether it is the only sensible one."""
-    if len(places) == 1:
-        return places[0], True
-    if expected_px is None:
-        return places[len(places) // 2], False
-    ij = lattice.ij
-    away = []
-    for i, j in places:
-        miss = lattice.points_px - expected_px[board.index(ij[:, 0] + i, ij[:, 1] + j)]
-        away.append(float(np.median(np.hypot(miss[:, 0], miss[:, 1]))))
-    order = np.argsort(away)
-    # Places lie a diagonal step apart or more; the prediction must be much nearer to one.
-    return places[order[0]], away[order[0]] < 0.5 * away[order[1]]
 
 
 def _turned(lattice: Lattice, quarter: int) -> Lattice:
@@ -209,22 +217,39 @@ def _turned(lattice: Lattice, quarter: int) -> Lattice:
     return Lattice(ij - ij.min(axis=0), lattice.points_px, polarity)
 
 
-def _places(lattice: Lattice, board: Board, borders: BoolArray) -> list[tuple[int, int]]:
-    """Shifts (i, j) at which the lattice lies on the board with its parity and borders right."""
+def _places(lattice: Lattice, board: Board) -> list[tuple[int, int]]:
+    """Shifts (i, j) at which the lattice lies on the board with its parity right."""
     room = np.array([board.columns, board.rows]) - lattice.ij.max(axis=0) - 1
-    if (room < 0).any():
-        return []
     even = (lattice.ij.sum(axis=1) % 2 == 0) == (lattice.polarity > 0)
     odd_shift = int(even.mean() < 0.5)
-    options: list[list[int]] = []
+    return [
+        (i, j) for i in range(room[0] + 1) for j in range(room[1] + 1) if (i + j) % 2 == odd_shift
+    ]
+
+
+def _at_borders(
+    lattice: Lattice,
+    board: Board,
+    places: list[tuple[int, int]],
+    width_px: int,
+    height_px: int,
+) -> list[tuple[int, int]]:
+    """Keep the places that agree with the borders seen.
+
+    Two borders nearer to each other than the board is long say nothing: one is a cover's edge.
+    """
+    room = np.array([board.columns, board.rows]) - lattice.ij.max(axis=0) - 1
+    borders = _borders(lattice, width_px, height_px)
+    fitting = places
     for axis in range(2):
         at_start, at_end = borders[axis]
-        allowed = range(room[axis] + 1)
-        fitting = [
-            s for s in allowed if (not at_start or s == 0) and (not at_end or s == room[axis])
-        ]
-        options.append(fitting or list(allowed))
-    return [(i, j) for i in options[0] for j in options[1] if (i + j) % 2 == odd_shift]
+        if at_start and at_end and room[axis] > 0:
+            continue  # one of the two is a cover's edge
+        if at_start:
+            fitting = [place for place in fitting if place[axis] == 0]
+        if at_end:
+            fitting = [place for place in fitting if place[axis] == room[axis]]
+    return fitting
 
 
 def _grid(lattice: Lattice) -> FloatArray:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from core.calibration import Calibration
-from core.compensation import corrected_displacement, raw_displacement, rig_motion
+from core.compensation import Shift, corrected_displacement, raw_displacement, rig_motion
 from core.corners import LocatedBoard, locate_board
 from core.discs import Discs, find_discs
 from core.errors import ImageError, ImageSizeError, TargetNotFoundError
 from core.frames import GreyImage, require_size
 from core.quality import (
+    beyond_belief,
     flag_of,
     judge_main,
     judge_motion,
@@ -42,10 +43,9 @@ def measure_pair(
     sub_seen, sub_reasons = _see_sub(sub, site, setup)
     reasons += sub_reasons
     raw = corrected = motion = None
+    common = None
     if main_seen is not None:
-        raw, shift = main_seen.raw, main_seen.residual_px
-    else:
-        shift = None
+        raw, common = main_seen.raw, main_seen.shift
     if sub_seen is not None:
         motion = rig_motion(setup, sub_seen.pose)
         reasons += judge_motion(setup, motion, site)
@@ -53,18 +53,21 @@ def measure_pair(
         corrected, common = corrected_displacement(
             setup, main_seen.discs, sub_seen.pose, sub_seen.located.view
         )
-        shift = common.residual_px
-        reasons += judge_main(setup, main_seen.discs, common) + judge_value(corrected, site)
+        reasons += judge_value(corrected, site)
+    if main_seen is not None and common is not None:
+        reasons += judge_main(setup, main_seen.discs, common)
     if skew_s is not None and abs(skew_s) * 1e3 > site.quality.max_skew_ms:
         reasons.append(Reason.NOT_SIMULTANEOUS)
     unique = tuple(dict.fromkeys(reasons))
+    if common is not None and beyond_belief(common, sub_seen.pose if sub_seen else None):
+        raw = corrected = None
     return Measurement(
         flag_of(unique, has_value=corrected is not None),
         unique,
         corrected,
         raw,
         motion,
-        _diagnostics(main_seen, sub_seen, shift),
+        _diagnostics(main_seen, sub_seen, common.residual_px if common else None),
     )
 
 
@@ -72,7 +75,7 @@ def measure_pair(
 class _MainSeen:
     discs: Discs
     raw: Displacement
-    residual_px: float
+    shift: Shift
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,12 +97,14 @@ def _see_main(
         return None, [Reason.MAIN_IMAGE_UNREADABLE]
     reasons = [Reason.OVEREXPOSED] if overexposed(image) else []
     try:
-        discs = find_discs(image, site.main_target, site.nominal_px_per_mm)
+        discs = find_discs(
+            image, site.main_target, site.nominal_px_per_mm, setup.reference_discs_px
+        )
         raw, shift = raw_displacement(setup, discs)
     except TargetNotFoundError:
         dark = [Reason.TOO_DARK] if too_dark(image) else []
         return None, [*reasons, *dark, Reason.MAIN_TARGET_NOT_FOUND]
-    return _MainSeen(discs, raw, shift.residual_px), reasons
+    return _MainSeen(discs, raw, shift), reasons
 
 
 def _see_sub(

@@ -23,6 +23,7 @@ _CLEAN = 0.95
 _BLUR_FACTOR = 2.0
 _RESIDUAL_FACTOR = 3.0
 _MAIN_RESIDUAL_PX = 0.05
+_NO_VALUE_PX = 1.0
 _RANGE_FACTOR = 4.0
 _MISSING = {Reason.MAIN_IMAGE_MISSING, Reason.SUB_IMAGE_MISSING}
 
@@ -73,6 +74,13 @@ def judge_sub(setup: Setup, located: LocatedBoard, board: BoardPose) -> list[Rea
 def _noisier(setup: Setup, located: LocatedBoard) -> float:
     """How much larger residuals may be because the contrast is lower than at calibration."""
     return max(1.0, setup.levels.sub_contrast_dn / max(located.contrast_dn, 1.0))
+
+
+def beyond_belief(shift: Shift, board: BoardPose | None) -> bool:
+    """Whether the discs or the corners contradict each other so far that no value can be given."""
+    if shift.residual_px > _NO_VALUE_PX:
+        return True
+    return board is not None and board.plain_rms_px > _NO_VALUE_PX
 
 
 def judge_motion(setup: Setup, motion: RigMotion, site: Site) -> list[Reason]:

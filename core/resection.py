@@ -53,6 +53,11 @@ class BoardPose:
     """Squared ratio of the residuals to their predicted size, at least 1."""
 
     @property
+    def plain_rms_px(self) -> float:
+        """One coordinate's residual by the median, no corner weighed down."""
+        return float(np.median(np.hypot(*self.residuals_px.T))) / 1.1774
+
+    @property
     def rms_px(self) -> float:
         """Weighted rms of one coordinate's residual."""
         squares = (self.residuals_px**2).sum(axis=1) / 2.0
@@ -99,13 +104,20 @@ def resect(
     """Fit the pose to the located corners by robust Gauss-Newton.
 
     corners_mm (m, 3) are all corners of the board. Corners off by many standard deviations
-    fade out. Raises TargetNotFoundError with fewer than 8 corners.
+    fade out. Raises TargetNotFoundError with fewer than 8 corners, or if no pose fits them.
     """
     if len(view.index) < MIN_CORNERS:
         msg = f"sub target: {len(view.index)} corners located, {MIN_CORNERS} are needed"
         raise TargetNotFoundError(msg)
     points = corners_mm[view.index]
-    pose = start or start_pose(lens, points, view.points_px)
+    try:
+        return _resect(lens, points, view, start or start_pose(lens, points, view.points_px))
+    except np.linalg.LinAlgError as error:
+        msg = "sub target: no pose fits the corners found"
+        raise TargetNotFoundError(msg) from error
+
+
+def _resect(lens: Lens, points: FloatArray, view: BoardView, pose: Pose) -> BoardPose:
     whiten = view.whitening()
     for _ in range(12):
         projected, by_pose, _, _ = pose_jacobian(lens, pose, points)

@@ -103,7 +103,7 @@ def test_an_overexposed_board_is_still_right() -> None:
     """White squares in saturation: the edges' dark halves are left, and name and place hold."""
     scene = BoardScene(light=1.5)
     assert np.mean(scene.image().pixels == 255) > 0.3
-    seen = locate_board(scene.image(), AS_CORE, scene.board, scene.board.corners_mm)
+    seen = locate_board(scene.image(), AS_CORE, scene.board, scene.board.corners_mm, scene.pose)
     miss = seen.view.points_px - scene.corners_px[seen.view.index]
     assert np.abs(miss).max() < 0.1
     assert len(miss) > 0.95 * len(scene.corners_px)
@@ -115,14 +115,17 @@ def test_an_insect_hides_only_what_is_under_it(length_px) -> None:
     free = BoardScene(turn_deg=(4.0, 3.0, 2.0))
     scene = BoardScene(turn_deg=(4.0, 3.0, 2.0), insect_px=(250.0, 140.0, length_px))
     nominal = scene.board.corners_mm
-    seen = locate_board(scene.image(), AS_CORE, scene.board, nominal)
+    seen = locate_board(scene.image(), AS_CORE, scene.board, nominal, scene.pose)
     missing = np.setdiff1d(scene.inside(SADDLE_MARGIN_PX), seen.view.index)
     assert len(missing) >= 2
     away = np.hypot(*(scene.corners_px[missing] - [250.0, 140.0]).T)
     assert away.max() < 0.75 * length_px
     poses = [
         resect(AS_CORE, nominal, view).pose
-        for view in (seen.view, locate_board(free.image(), AS_CORE, free.board, nominal).view)
+        for view in (
+            seen.view,
+            locate_board(free.image(), AS_CORE, free.board, nominal, free.pose).view,
+        )
     ]
     turned_rad = poses[0].compose(poses[1].inverse()).rotation_rad
     assert np.abs(turned_rad).max() < 1e-4
@@ -253,7 +256,9 @@ def test_pose_to_its_own_sigma() -> None:
     scene = BoardScene(turn_deg=(8.0, -6.0, 4.0))
     nominal = scene.board.corners_mm
     fits = [
-        resect(AS_CORE, nominal, locate_board(image, AS_CORE, scene.board, nominal).view)
+        resect(
+            AS_CORE, nominal, locate_board(image, AS_CORE, scene.board, nominal, scene.pose).view
+        )
         for image in scene.images(20, seed=9)
     ]
     steps = np.array(
