@@ -1,6 +1,7 @@
 """The house holds: the layers are kept and can be broken, the core is pure, the wheel is whole."""
 
 import ast
+import re
 import shutil
 import subprocess
 import sys
@@ -9,6 +10,9 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
+from core.results import Reason
+from daemon.store.records import GapCause
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("core", "daemon", "drivers", "migrations")
@@ -145,3 +149,16 @@ def test_wheel_gives_both_programs(wheel: zipfile.ZipFile) -> None:
     text = wheel.read(entry_points).decode()
     assert "dcamd = daemon.main:main" in text
     assert "dcam-ctl = daemon.ctl:main" in text
+
+
+@pytest.mark.parametrize("word", [*Reason, *GapCause])
+def test_the_pier_page_explains_every_reason_and_cause(word: str) -> None:
+    """Whoever reads a word in a row or a gap finds there what it means and what to do."""
+    assert f"`{word}`" in (ROOT / "docs/pier.md").read_text()
+
+
+@pytest.mark.parametrize("page", sorted(ROOT.glob("*.md")) + sorted((ROOT / "docs").rglob("*.md")))
+def test_links_between_the_pages_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)", page.read_text()):
+        if "://" not in target:
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"
