@@ -132,13 +132,14 @@ def _fills_ellipse(edge: IntArray, cx: float, cy: float, a: float, b: float, ang
 
 def _best_of_concentric(found: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
     """Keep the sharpest of the regions that share a centre."""
-    kept: list[tuple[float, ...]] = []
-    for blob in sorted(found, key=lambda region: -region[5]):
-        apart = (
-            np.hypot(blob[0] - k[0], blob[1] - k[1]) > 0.5 * max(min(k[2:4]), 3.0) for k in kept
-        )
-        if all(apart):
-            kept.append(blob)
+    regions = np.array(sorted(found, key=lambda region: -region[5])).reshape(-1, 6)
+    left = np.ones(len(regions), dtype=bool)
+    kept = []
+    for k, region in enumerate(regions):
+        if left[k]:
+            away = np.hypot(regions[:, 0] - region[0], regions[:, 1] - region[1])
+            left &= away > 0.5 * max(region[2:4].min(), 3.0)
+            kept.append(tuple(region.tolist()))
     return kept
 
 

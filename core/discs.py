@@ -11,15 +11,17 @@ from core.blobs import Blobs, find_blobs
 from core.errors import TargetNotFoundError
 from core.frames import GreyImage
 from core.photometric import as_float, locate_discs
-from core.site import BoolArray, CirclesTarget, FloatArray
+from core.site import BoolArray, CirclesTarget, ComplexArray, FloatArray, IntArray
 
 MIN_DISCS = 3
 _MAX_ROLL_DEG = 50.0
 _SCALE_TOLERANCE = 2.0
 _RADIUS_TOLERANCE = 0.25
 _PLACE_TOLERANCE = 0.12  # of the target's size
+_PLANE_TOLERANCE = 0.02
 _MIN_CLEAN = 0.5
 _MOST_CANDIDATES = 60
+_MOST_HYPOTHESES = 400
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,11 +107,15 @@ def _name(
     """Pairs (disc, blob) of the layout that explains most blobs best."""
     layout = target.centres_mm * np.array([1.0, -1.0])  # y up to y down
     radii = target.diameters_mm / 2.0
+    factors, shifts = _hypotheses(blobs, layout, radii, expected_px_per_mm)
+    counts = _hits(blobs, layout, factors, shifts)
     best: list[tuple[int, int]] = []
     best_cost = np.inf
-    for scale_rotation, shift in _hypotheses(blobs, layout, radii, expected_px_per_mm):
-        names, cost = _match(blobs, layout, radii, scale_rotation, shift)
-        if len(names) < max(MIN_DISCS, len(best)):
+    for h in np.argsort(-counts, kind="stable")[:_MOST_HYPOTHESES]:
+        if counts[h] < max(MIN_DISCS, len(best)):
+            break
+        names, cost = _match(blobs, layout, radii, complex(factors[h]), complex(shifts[h]))
+        if len(names) < max(MIN_DISCS, len(best)) or not _is_plane(blobs, layout, names):
             continue
         if expected_px is not None:
             away = [np.hypot(*(blobs.points_px[b] - expected_px[d])) for d, b in names]
@@ -120,16 +126,42 @@ def _name(
     return best
 
 
+def _hits(
+    blobs: Blobs, layout: FloatArray, factors: ComplexArray, shifts: ComplexArray
+) -> IntArray:
+    """How many discs of the layout find a spot near their place, for each similarity (h,)."""
+    place = layout[:, 0] + 1j * layout[:, 1]
+    spots = blobs.points_px[:, 0] + 1j * blobs.points_px[:, 1]
+    reach = _PLACE_TOLERANCE * np.abs(factors) * float(np.ptp(layout, axis=0).max())
+    counts = np.zeros(len(factors), dtype=np.int64)
+    for disc in place:
+        nearest = np.full(len(factors), np.inf)
+        for spot in spots:
+            np.minimum(nearest, np.abs(factors * disc + shifts - spot), out=nearest)
+        counts += nearest <= reach
+    return counts
+
+
+def _is_plane(blobs: Blobs, layout: FloatArray, names: list[tuple[int, int]]) -> bool:
+    """Whether four or more spots are an affine image of the layout (three always are)."""
+    discs, spots = (np.array(side) for side in zip(*names, strict=True))
+    design = np.concatenate([layout[discs], np.ones((len(discs), 1))], axis=1)
+    points = blobs.points_px[spots]
+    miss = design @ np.linalg.lstsq(design, points, rcond=None)[0] - points
+    extent = float(np.ptp(points, axis=0).max())
+    return bool(np.abs(miss).max() < _PLANE_TOLERANCE * extent)
+
+
 def _hypotheses(
     blobs: Blobs, layout: FloatArray, radii: FloatArray, expected_px_per_mm: float | None
-) -> list[tuple[complex, complex]]:
-    """Similarities z -> s z + t taking two discs to two blobs of fitting size and roll."""
+) -> tuple[ComplexArray, ComplexArray]:
+    """Similarities z -> s z + t, all (s) and (t), taking two discs to two fitting blobs."""
     place = layout[:, 0] + 1j * layout[:, 1]
     spots = blobs.points_px[:, 0] + 1j * blobs.points_px[:, 1]
     blob_radii = blobs.radius_px
     pairs = list(permutations(range(len(spots)), 2))
     a, b = np.array(pairs, dtype=int).reshape(-1, 2).T
-    hypotheses = []
+    factors, shifts = [np.zeros(0, dtype=complex)], [np.zeros(0, dtype=complex)]
     for i in range(len(place)):
         for j in range(i + 1, len(place)):
             factor = (spots[b] - spots[a]) / (place[j] - place[i])
@@ -139,11 +171,9 @@ def _hypotheses(
                 fits &= np.abs(np.log(blob_radii[blob] / (size * radii[disc]))) < _RADIUS_TOLERANCE
             if expected_px_per_mm is not None:
                 fits &= np.abs(np.log(size / expected_px_per_mm)) < np.log(_SCALE_TOLERANCE)
-            hypotheses += [
-                (complex(factor[k]), complex(spots[a[k]] - factor[k] * place[i]))
-                for k in np.nonzero(fits)[0]
-            ]
-    return hypotheses
+            factors.append(factor[fits])
+            shifts.append(spots[a][fits] - factor[fits] * place[i])
+    return np.concatenate(factors), np.concatenate(shifts)
 
 
 def _match(

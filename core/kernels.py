@@ -1,8 +1,9 @@
 """Compiled loops over pixels: the grey-value models of a checkerboard corner and of a disc.
 
-Both kernels do Gauss-Newton steps with analytic derivatives and pixel weights that fade out
-what the model cannot explain (dust, an insect). They are plain loops because NumPy would write
-some twenty arrays of a million pixels for every step.
+A saturated pixel says only that the light was at least so bright: where the model is brighter
+still it has no weight. Both kernels do Gauss-Newton steps with analytic derivatives and pixel
+weights that fade out what the model cannot explain (dust, an insect). They are plain loops
+because NumPy would write some twenty arrays of a million pixels for every step.
 """
 
 from __future__ import annotations
@@ -142,7 +143,7 @@ def _gather_corner(
 ) -> int:
     """Collect (u, v, grey) of the pixels that tell about a corner; their number comes back.
 
-    Not those of a neighbouring corner, nor those too far from both edges, nor saturated ones.
+    Not those of a neighbouring corner, nor those too far from both edges.
     """
     count = 0
     reach, band_x, band_y = limits[0], limits[1] / frame[0], limits[1] / frame[1]
@@ -158,10 +159,7 @@ def _gather_corner(
             y = abs(u * (m[1, 0] + m[1, 2] * u + m[1, 3] * v) + v * (m[1, 1] + m[1, 4] * v))
             if x > reach or y > reach or (x > band_x and y > band_y):
                 continue
-            grey = image[row, column]
-            if grey >= limits[2]:
-                continue
-            pixels[0, count], pixels[1, count], pixels[2, count] = u, v, grey
+            pixels[0, count], pixels[1, count], pixels[2, count] = u, v, image[row, column]
             count += 1
     return count
 
@@ -275,14 +273,14 @@ def fit_corners(
             continue
         if not _start_corner(pixels, count, m, p):
             continue
-        weight[:count] = 1.0
         usable, improved = True, 0.0
         for step in range(iterations):
             for i in range(count):
                 model = _corner_pixel(pixels[0, i], pixels[1, i], m, p, frame, rows, i)
                 miss[i] = pixels[2, i] - model
-                if step > 0:
-                    weight[i] = _pixel_weight(miss[i], scale[k])
+                weight[i] = _pixel_weight(miss[i], scale[k]) if step > 0 else 1.0
+                if model >= limits[2] <= pixels[2, i]:
+                    weight[i] = 0.0
             _sum_up(rows, miss, weight, count, normal, right)
             usable, improved, moved_px = _advance(normal, right, factor, p)
             if not usable or (step > 0 and moved_px < _SETTLED_PX):
@@ -368,7 +366,7 @@ def _disc_pixel(u: float, v: float, p: FloatArray, rows: FloatArray, at: int) ->
 def _gather_disc(
     image: FloatArray, at: FloatArray, p: FloatArray, limits: FloatArray, pixels: FloatArray
 ) -> int:
-    """Collect (u, v, grey) of the unsaturated pixels near a disc's outline; their number."""
+    """Collect (u, v, grey) of the pixels near a disc's outline; their number comes back."""
     count = 0
     radius = max(p[2], p[4]) + abs(p[3]) + limits[0]
     for row in range(
@@ -378,12 +376,11 @@ def _gather_disc(
             max(0, int(at[0] + p[0] - radius)), min(image.shape[1], int(at[0] + p[0] + radius) + 2)
         ):
             u, v = column - at[0], row - at[1]
-            grey = image[row, column]
-            if grey >= limits[1] or abs(_disc_distance(u, v, p)) > limits[0]:
+            if abs(_disc_distance(u, v, p)) > limits[0]:
                 continue
             if count == pixels.shape[1]:
                 return count
-            pixels[0, count], pixels[1, count], pixels[2, count] = u, v, grey
+            pixels[0, count], pixels[1, count], pixels[2, count] = u, v, image[row, column]
             count += 1
     return count
 
@@ -421,14 +418,14 @@ def fit_discs(
         count = _gather_disc(image, points[k], p, limits, pixels)
         if count < _MIN_PIXELS:
             continue
-        weight[:count] = 1.0
         usable, improved = True, 0.0
         for step in range(iterations):
             for i in range(count):
                 model = _disc_pixel(pixels[0, i], pixels[1, i], p, rows, i)
                 miss[i] = pixels[2, i] - model
-                if step > 0:
-                    weight[i] = _pixel_weight(miss[i], scale)
+                weight[i] = _pixel_weight(miss[i], scale) if step > 0 else 1.0
+                if model >= limits[1] <= pixels[2, i]:
+                    weight[i] = 0.0
             _sum_up(rows, miss, weight, count, normal, right)
             usable, improved, moved_px = _advance(normal, right, factor, p)
             if not usable or (step > 1 and moved_px < _SETTLED_PX):
@@ -444,9 +441,10 @@ def fit_discs(
         for i in range(count):
             figures[k, 0] += weight[i] * miss[i] * miss[i]
             figures[k, 1] += weight[i]
+            if weight[i] > 0.0:
+                figures[k, 2] += 1.0
             if weight[i] > 0.5:
                 figures[k, 3] += 1.0
-        figures[k, 2] = count
         if usable:
             usable = _reduce(normal, information[k])
         figures[k, 4] = 1.0 if usable else 0.0
