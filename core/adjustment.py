@@ -66,6 +66,8 @@ class Adjusted:
     scale: float
     """Ratio of the residuals to their predicted size."""
     view_rms_px: tuple[float, ...]
+    view_kept: tuple[float, ...]
+    """Mean weight of each view's corners: 1 where all fit."""
     main_rms_px: float
 
 
@@ -162,6 +164,7 @@ def adjust(
         np.zeros((0, 0)),
         1.0,
         (),
+        (),
         0.0,
     )
     problem = _Problem(board, views, start_lens, start_rig, priors, main_views)
@@ -180,6 +183,7 @@ def adjust(
         covariance=problem.covariance(state, system),
         scale=system.scale,
         view_rms_px=tuple(system.view_rms),
+        view_kept=tuple(system.view_kept),
         main_rms_px=system.main_rms,
     )
 
@@ -198,6 +202,7 @@ class _System:
     """(corners, 2)."""
     scale: float = 1.0
     view_rms: list[float] = field(default_factory=list)
+    view_kept: list[float] = field(default_factory=list)
     main_rms: float = 0.0
 
     def reduced(self) -> FloatArray:
@@ -281,6 +286,7 @@ class _Problem:
         system.corner[view.index] += turned @ by_offset
         system.corner_right[view.index] += (turned @ white[:, :, None])[:, :, 0]
         squares = weights * (residual**2).sum(axis=1) / 2.0
+        system.view_kept.append(float(weights.mean()))
         system.view_rms.append(float(np.sqrt(squares.sum() / weights.sum())))
         return norm
 

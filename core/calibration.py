@@ -16,6 +16,7 @@ from core.dual import (
     start_from_views,
     validate,
     without_misfits,
+    without_moved_targets,
 )
 from core.errors import CalibrationError
 from core.setup import Setup
@@ -70,8 +71,11 @@ def calibrate(
     fit, bad = without_misfits(
         fit_views(relocate(seen, start, recipe.board), start, recipe), recipe
     )
+    fit, moved = without_moved_targets(fit, recipe)
     setup = setup_of(fit, recipe.board)
-    report = write_report(fit, setup, recipe, [*rejected, *misfits, *bad], validate(fit, recipe))
+    report = write_report(
+        fit, setup, recipe, [*rejected, *misfits, *bad, *moved], validate(fit, recipe)
+    )
     return Calibration(method, setup), report
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from core.compensation import affine_error_px
-from core.dual import Fit, Recipe, main_misses_px, rig_prior
+from core.dual import MIN_LENS_VIEWS, Fit, Recipe, drawn_rig, main_misses_px, rig_prior
 from core.observability import (
     DriftError,
     determined_share,
@@ -24,6 +24,7 @@ from core.site import FloatArray
 from core.views import Rejected
 
 _FEW_LENS_VIEWS = 10
+_FAR_SIGMAS = 3.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +47,7 @@ def write_report(
 ) -> CalibrationReport:
     """Judge a calibration. held_out (n, 2) are the errors in mm at held-out positions."""
     drift = drift_errors(setup, recipe.site.quality)
-    problems = _problems(setup, recipe, drift, held_out)
+    problems = _problems(fit, setup, recipe, drift, held_out)
     figures = _figures(fit, setup, recipe, drift, held_out)
     figures["rejected"] = [{"view": name, "reason": reason} for name, reason in rejected]
     figures["problems"] = problems
@@ -83,7 +84,11 @@ def _rms(errors: FloatArray) -> float:
 
 
 def _problems(
-    setup: Setup, recipe: Recipe, drift: Sequence[DriftError], held_out: FloatArray
+    fit: Fit,
+    setup: Setup,
+    recipe: Recipe,
+    drift: Sequence[DriftError],
+    held_out: FloatArray,
 ) -> list[str]:
     """Why the calibration should not be used; empty if it may."""
     limit = recipe.site.quality.max_sigma_mm
@@ -96,6 +101,12 @@ def _problems(
         )
     if len(held_out) and _rms(held_out) > limit:
         problems.append(f"held-out positions are wrong by {_rms(held_out):.3f} mm rms")
+    if len(fit.views.lens) < MIN_LENS_VIEWS:
+        problems.append(
+            f"{len(fit.views.lens)} lens views; pan and tilt do not determine the lens, take 12 "
+            "or more views with the board in the hand"
+        )
+    problems += _contradictions(setup, recipe)
     if isinstance(setup.model, PaperModel) and setup.model.null_directions:
         problems.append(
             f"{setup.model.null_directions} of the paper's nine parameters are not determined by "
@@ -104,9 +115,33 @@ def _problems(
     return problems
 
 
+def _contradictions(setup: Setup, recipe: Recipe) -> list[str]:
+    """Where the views put the rig far from what drawing and survey say."""
+    if not isinstance(setup.model, Rig):
+        return []
+    site = recipe.site
+    drawn = drawn_rig(site, setup.B)
+    sigmas = np.abs(setup.model.deviation_from(drawn)) / rig_prior(site)
+    turn, offset = float(np.linalg.norm(sigmas[:3])), float(np.linalg.norm(sigmas[3:6]))
+    distance, scale = float(sigmas[6]), float(sigmas[7])
+    problems = []
+    if turn > _FAR_SIGMAS:
+        problems.append(
+            f"the cameras are turned against one another {turn:.1f} sigma from the drawing; check "
+            "[rig] rotation_main_sub_deg, its signs and its sigma"
+        )
+    if max(offset, distance, scale) > _FAR_SIGMAS:
+        problems.append(
+            f"the rig does not fit the survey (offset {offset:.1f}, target distance "
+            f"{distance:.1f}, scale {scale:.1f} sigma off); check [rig] offset_main_sub_mm and its "
+            "signs, [target.main] distance_mm and centres_mm"
+        )
+    return problems
+
+
 def _warnings(fit: Fit, figures: dict[str, Any]) -> list[str]:
     warnings = []
-    if len(fit.views.lens) < _FEW_LENS_VIEWS:
+    if MIN_LENS_VIEWS <= len(fit.views.lens) < _FEW_LENS_VIEWS:
         warnings.append(
             f"warning: {len(fit.views.lens)} lens views; take 12 or more, the board in the hand"
         )

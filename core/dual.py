@@ -31,8 +31,10 @@ _SCALE_SIGMA = 2e-3
 _CLEAN = 0.9
 _MISFIT_FACTOR = 4.0
 _MISFIT_FLOOR_PX = 0.003
+_MISFIT_KEPT = 0.6
+_MOVED_FACTOR, _MOVED_FLOOR_PX = 6.0, 0.1
 _HOLD_OUT_EVERY = 4
-_MIN_LENS_VIEWS = 3
+MIN_LENS_VIEWS = 3
 
 
 class Method(StrEnum):
@@ -83,7 +85,7 @@ def start_from_views(views: Views, recipe: Recipe) -> tuple[Lens, list[Rejected]
 
     Without three lens views the rig views must do; they determine the focal length poorly.
     """
-    chosen = views.lens if len(views.lens) >= _MIN_LENS_VIEWS else views.rig
+    chosen = views.lens if len(views.lens) >= MIN_LENS_VIEWS else views.rig
     among = [views.reference, *chosen]
     start = start_lens([v.board.view for v in among], recipe.board, recipe.site.sub)
     if 0 in start.rejected:
@@ -207,7 +209,8 @@ def without_misfits(fit: Fit, recipe: Recipe) -> tuple[Fit, list[Rejected]]:
     """Fit again without the views whose corners fit far worse than the others'."""
     rms = np.array(fit.adjusted.view_rms_px)
     typical = float(np.median(rms))
-    bad = rms > _MISFIT_FACTOR * max(typical, _MISFIT_FLOOR_PX)
+    kept = np.array(fit.adjusted.view_kept)
+    bad = (rms > _MISFIT_FACTOR * max(typical, _MISFIT_FLOOR_PX)) | (kept < _MISFIT_KEPT)
     if not bad.any():
         return fit, []
     if bad[0] or bad.sum() > 0.4 * len(bad):
@@ -217,12 +220,42 @@ def without_misfits(fit: Fit, recipe: Recipe) -> tuple[Fit, list[Rejected]]:
         )
         raise CalibrationError(msg)
     rejected = [
-        (view.name, f"corners off by {r:.3f} px rms, the others by {typical:.3f} px")
-        for view, r, is_bad in zip(fit.views.all, rms, bad, strict=True)
+        (
+            view.name,
+            (
+                f"corners off by {r:.3f} px rms, the others by {typical:.3f} px; "
+                f"{100.0 * (1.0 - share):.0f} % of them do not fit at all"
+            ),
+        )
+        for view, r, share, is_bad in zip(fit.views.all, rms, kept, bad, strict=True)
         if is_bad
     ]
-    kept = fit.views.without({name for name, _ in rejected})
-    return fit_views(kept, fit.adjusted.lens, recipe), rejected
+    others = fit.views.without({name for name, _ in rejected})
+    return fit_views(others, fit.adjusted.lens, recipe), rejected
+
+
+def without_moved_targets(fit: Fit, recipe: Recipe) -> tuple[Fit, list[Rejected]]:
+    """Fit again without the rig views in which the main target was not where it rested."""
+    reference = fit.views.reference.discs
+    off = np.array(
+        [
+            np.hypot(*main_misses_px(fit.model, v.discs, reference, m).mean(axis=0))
+            if main_view(v.discs, reference)
+            else 0.0
+            for v, m in zip(fit.views.rig, fit.motions, strict=True)
+        ]
+    )
+    typical = float(np.median(off))
+    bad = off > max(_MOVED_FACTOR * typical, _MOVED_FLOOR_PX)
+    if recipe.method is not Method.RIGID or not bad.any() or bad.sum() > 0.3 * len(bad):
+        return fit, []
+    rejected = [
+        (view.name, f"main target off by {miss:.2f} px, in the other views by {typical:.2f} px")
+        for view, miss, is_bad in zip(fit.views.rig, off, bad, strict=True)
+        if is_bad
+    ]
+    others = fit.views.without({name for name, _ in rejected})
+    return fit_views(others, fit.adjusted.lens, recipe), rejected
 
 
 def setup_of(fit: Fit, board: Board) -> Setup:
