@@ -75,6 +75,8 @@ class Facts:
     """Of 30 days, in order."""
     daemon: Daemon
     disk: Disk
+    frames_not_kept_24h: int
+    """Rows of a captured pair that could not be stored."""
     simulated_clock: bool
     clock_synchronised: bool | None
     """None for a simulated clock, and where the kernel does not tell."""
@@ -105,6 +107,7 @@ def look(config: Config, state: Path, store: Store, now_utc: datetime) -> Facts:
             clean_stop_utc=_mark_time(store, Mark.CLEAN_STOP_UTC),
         ),
         disk=_disk(state, last, config.schedule.period_s),
+        frames_not_kept_24h=store.rows_without_frames(now_utc - DAY, now_utc),
         simulated_clock=simulated,
         clock_synchronised=None if simulated else clock_is_synchronised(),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from daemon.health import CAMERA_CAUSES, DAY, Facts
+from daemon.health import CAMERA_CAUSES, DAY, Disk, Facts
 from daemon.store.records import Coverage
 from daemon.wording import bytes_text, coverage_text, span_text, utc_text, value_text
 
@@ -15,6 +15,10 @@ STALE_GOOD_S, LOST_GOOD_S = 2 * 3600.0, 24 * 3600.0
 """Time without a good value before that is a warning, and critical: a dark night warns."""
 LOW_COVERAGE, LOST_COVERAGE = 0.95, 0.5
 LOW_DISK_DAYS, FULL_DISK_DAYS = 7.0, 1.0
+LOW_DISK_BYTES, FULL_DISK_BYTES = 1e9, 200e6
+"""Free space that is too little whatever the rate: the database needs room as well."""
+LOW_DISK_SHARE = 0.05
+"""Of the disk, as long as no pair was kept that would tell for how many days it lasts."""
 
 
 class Level(IntEnum):
@@ -52,7 +56,8 @@ def judge(facts: Facts) -> list[Item]:
         _coverage("coverage 24 h", facts.coverage_24h),
         _coverage("coverage 30 d", facts.coverage_30d),
         _gaps(facts),
-        _disk(facts),
+        _disk(facts.disk),
+        _frames(facts),
         _clock(facts),
     ]
 
@@ -157,16 +162,27 @@ def _gaps(facts: Facts) -> Item:
     return Item("gaps", Level.OK, text)
 
 
-def _disk(facts: Facts) -> Item:
-    disk = facts.disk
+def _disk(disk: Disk) -> Item:
     text = f"{bytes_text(disk.free_bytes)} of {bytes_text(disk.total_bytes)} free"
     if disk.days_left is None:
-        return Item("disk", Level.OK, text)
-    text += f", {disk.days_left:.0f} days at the present rate"
-    if disk.days_left < LOW_DISK_DAYS:
-        level = Level.CRITICAL if disk.days_left < FULL_DISK_DAYS else Level.WARNING
-        return Item("disk", level, f"{text}: free some space")
+        low, full = disk.free_bytes < LOW_DISK_SHARE * disk.total_bytes, False
+    else:
+        text += f", {disk.days_left:.0f} days at the present rate"
+        low, full = disk.days_left < LOW_DISK_DAYS, disk.days_left < FULL_DISK_DAYS
+    if full or disk.free_bytes < FULL_DISK_BYTES:
+        return Item("disk", Level.CRITICAL, f"{text}: free some space")
+    if low or disk.free_bytes < LOW_DISK_BYTES:
+        return Item("disk", Level.WARNING, f"{text}: free some space")
     return Item("disk", Level.OK, text)
+
+
+def _frames(facts: Facts) -> Item:
+    """Rows whose frames found no room are measured, but can never be measured again."""
+    count = facts.frames_not_kept_24h
+    if not count:
+        return Item("frames", Level.OK, "all kept in 24 h")
+    text = f"{count} row(s) in 24 h without their frames; journalctl -u dcamd tells why"
+    return Item("frames", Level.WARNING, text)
 
 
 def _clock(facts: Facts) -> Item:

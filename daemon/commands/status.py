@@ -13,7 +13,7 @@ from daemon.commands.output import print_json, print_table, result_fields, say
 from daemon.errors import lines_of
 from daemon.health import Facts, look
 from daemon.store.database import open_store_readonly
-from daemon.store.errors import DatabaseDamagedError, StoreError
+from daemon.store.errors import DatabaseDamagedError
 from daemon.store.records import Coverage
 from daemon.verdict import Item, Level, judge, worst
 from daemon.wording import utc_text
@@ -38,11 +38,8 @@ def command(options: Options, at_utc: datetime | None, as_json: bool) -> int:
 
     Exit code 0 OK, 1 warning, 2 critical, 3 unknown, as monitoring systems expect it.
     """
-    try:
-        with open_store_readonly(options.state) as store:
-            facts = look(options.config, options.state, store, at_utc or datetime.now(UTC))
-    except (StoreError, OSError) as error:
-        return _tell_failure(error, as_json=as_json)
+    with open_store_readonly(options.state) as store:
+        facts = look(options.config, options.state, store, at_utc or datetime.now(UTC))
     items = judge(facts)
     if as_json:
         print_json(status_fields(facts, items))
@@ -51,10 +48,10 @@ def command(options: Options, at_utc: datetime | None, as_json: bool) -> int:
     return worst(items)
 
 
-def _tell_failure(error: StoreError | OSError, *, as_json: bool) -> Level:
-    """A monitoring system reads stdout: what stands in the way belongs there."""
+def tell_failure(error: Exception, *, as_json: bool) -> Level:
+    """Tell on stdout, where a monitoring system reads, why there is no verdict."""
     level = Level.CRITICAL if isinstance(error, DatabaseDamagedError) else Level.UNKNOWN
-    (line,) = lines_of(error)
+    line = "; ".join(lines_of(error))
     if as_json:
         print_json({"command": "status", "level": level.name.lower(), "code": level, "error": line})
     else:
@@ -117,6 +114,7 @@ def status_fields(facts: Facts, items: list[Item]) -> dict[str, object]:
         "gaps": [gap_fields(gap) for gap in facts.gaps],
         "daemon": asdict(facts.daemon),
         "disk": asdict(facts.disk),
+        "frames_not_kept_24h": facts.frames_not_kept_24h,
         "clock_synchronised": facts.clock_synchronised,
     }
 

@@ -182,6 +182,21 @@ class Store:
         with self._read() as session:
             return set(session.scalars(query))
 
+    def rows_without_frames(self, since: datetime = ALWAYS, until: datetime = NEVER) -> int:
+        """How many rows, since <= slot < until, could not keep their frames.
+
+        A late row without frames had a damaged pair, and says so as its reason.
+        """
+        row, (since, until) = MeasurementRow, map(gap_runs.next_second, (since, until))
+        query = select(func.count()).where(
+            row.slot_utc >= since,
+            row.slot_utc < until,
+            row.main_frame.is_(None),
+            row.recorded_late.is_(False),
+        )
+        with self._read() as session:
+            return session.scalar(query) or 0
+
     def last_slot(self) -> datetime | None:
         """The latest slot with a row."""
         with self._read() as session:

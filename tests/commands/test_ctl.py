@@ -28,6 +28,7 @@ def test_help_lists_all_commands_and_the_exit_codes(ctl: Ctl) -> None:
     assert ran.code == 0
     assert all(f"\n  {name} " in ran.out for name in COMMANDS)
     assert "5 database" in ran.out
+    assert "\\b" not in ran.out
 
 
 @pytest.mark.parametrize("arguments", [[], ["calibrat"], ["gaps", "--sinse", "24h"]])

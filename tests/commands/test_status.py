@@ -10,6 +10,7 @@ from collections.abc import Callable
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -49,11 +50,15 @@ class Site:
         with open_store(self.state) as store:
             change(store)
 
-    def measure(self, minutes: int, measurement: Measurement = GOOD) -> None:
-        """Add a row a minute."""
+    def measure(
+        self, minutes: int, measurement: Measurement = GOOD, frame: str | None = "frames/kept.png"
+    ) -> None:
+        """Add a row a minute; without a frame where the disk had no room for it."""
         hash_ = load_config(self.config).config_hash()
         for _ in range(minutes):
-            record = MeasurementRecord(self.end, measurement, hash_, "1.0")
+            record = MeasurementRecord(
+                self.end, measurement, hash_, "1.0", main_frame=frame, sub_frame=frame
+            )
             self.write(lambda store, row=record: store.add_measurement(row))
             self.end += MINUTE
 
@@ -202,6 +207,31 @@ def test_looking_does_not_take_the_lock_from_a_daemon_that_starts(site: Site) ->
         assert site.levels(site.ctl("status", "--json", "--at", site.end))["daemon"] == "ok"
 
 
+@pytest.mark.parametrize(
+    ("free_bytes", "total_bytes", "level"),
+    [
+        (100e6, 1e9, "critical"),
+        (900e6, 2e9, "warning"),
+        (4e9, 100e9, "warning"),
+        (6e9, 100e9, "ok"),
+    ],
+)
+def test_a_nearly_full_disk_is_noticed_before_any_pair_is_kept(
+    site: Site, monkeypatch, free_bytes: float, total_bytes: float, level: str
+) -> None:
+    usage = SimpleNamespace(free=int(free_bytes), total=int(total_bytes))
+    monkeypatch.setattr("daemon.health.shutil.disk_usage", lambda _path: usage)
+    assert site.levels(site.status())["disk"] == level
+
+
+def test_rows_that_could_not_keep_their_frames_are_a_warning_for_a_day(site: Site) -> None:
+    site.measure(2, frame=None)
+    ran = site.status()
+    assert site.levels(ran)["frames"] == "warning"
+    assert json.loads(ran.out)["frames_not_kept_24h"] == 2
+    assert site.levels(site.status(timedelta(hours=25)))["frames"] == "ok"
+
+
 def test_no_calibration_is_critical(tmp_path: Path, ctl: Ctl) -> None:
     site = Site(tmp_path, ctl)
     site.measure(1, DARK)
@@ -227,6 +257,34 @@ def test_without_a_database_it_is_unknown(ctl: Ctl, tmp_path: Path) -> None:
     assert ran.out.startswith("DCAM UNKNOWN - ")
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["status", "--jsn"],
+        ["--nonsense", "status"],
+        ["status", "--at", "noon"],
+        ["--config", "/nowhere/dcam.toml", "status"],
+    ],
+)
+def test_what_keeps_it_from_a_verdict_is_unknown_in_one_line_on_stdout(
+    site: Site, words: list[str]
+) -> None:
+    ran = site.ctl(*words)
+    (line,) = ran.out.splitlines()
+    assert line.startswith("DCAM UNKNOWN - ")
+    assert (ran.code, ran.err) == (3, "")
+
+
+def test_a_config_with_several_faults_is_unknown_and_still_json(site: Site) -> None:
+    site.config.write_text(SIMULATED.replace("= 8.0", "= -8.0").replace("= 2.0", "= -2.0"))
+    ran = site.ctl("status", "--json")
+    assert ran.code == 3
+    document = json.loads(ran.out)
+    assert (document["level"], document["code"]) == ("unknown", 3)
+    assert "diameter_mm" in document["error"]
+    assert "square_mm" in document["error"]
+
+
 def test_a_newer_database_is_unknown_and_a_damaged_one_critical(site: Site) -> None:
     database = site.state / "dcam.db"
     with closing(sqlite3.connect(database)) as connection, connection:
@@ -250,7 +308,7 @@ def test_first_line_is_what_a_monitoring_system_shows(site: Site) -> None:
     assert "age=30s" in figures.split()
     assert "coverage_24h=100.00%" in figures.split()
     assert header.split() == ["what", "state", "as", "of", "2026-03-01T00:09:30Z"]
-    assert len(rest) == 10
+    assert len(rest) == 11
     assert "\x1b" not in ran.out
     assert "─" not in ran.out
 
