@@ -53,7 +53,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         msg = f"{path}: no such file; name one with --config FILE or DCAM_CONFIG"
     except OSError as error:
-        msg = f"{path}: cannot be read: {error.strerror}"
+        msg = f"{path}: cannot be read: {error.strerror}; check what it is and its permissions"
     except UnicodeDecodeError as error:
         msg = f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8"
     except tomllib.TOMLDecodeError as error:

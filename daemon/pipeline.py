@@ -13,12 +13,12 @@ from pathlib import Path
 import structlog
 
 from core.calibration import Calibration
-from core.errors import CalibrationError
-from core.frames import GreyImage
+from core.errors import CalibrationError, ImageError
+from core.frames import GreyImage, require_size
 from core.measurement import measure_pair
 from core.quality import flag_of
 from core.results import Flag, Measurement, Reason
-from core.site import Site
+from core.site import CameraGeometry, Site
 from daemon.store.database import Store
 from daemon.store.errors import DiskFullError, StoreError
 from daemon.store.frames import FrameArchive, StoredPair, camera_state
@@ -153,6 +153,7 @@ def measure_files(
     for role, path in paths:
         try:
             images[role] = read_image(path) if path else None
+            _note_size(images[role], site.main if role == "main" else site.sub, path)
         except ImageMissingError as error:
             _log.warning("image_missing", error=str(error))
         except FrameSetError as error:
@@ -161,6 +162,16 @@ def measure_files(
     return measure_images(
         images["main"], images["sub"], site, calibration, skew_s, frozenset(unreadable)
     )
+
+
+def _note_size(image: GreyImage | None, camera: CameraGeometry, path: Path | None) -> None:
+    """Log which file has another size than the config says; the core gives the reason."""
+    if image is None:
+        return
+    try:
+        require_size(image, camera, str(path))
+    except ImageError as error:
+        _log.warning("image_wrong_size", error=str(error))
 
 
 def measure_images(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import stat
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -13,6 +14,7 @@ from typing import Any, TypeVar
 import click
 
 from daemon.config import Config, Installation, find_installation
+from daemon.errors import HardwareError
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -27,9 +29,14 @@ class Options:
 
     @property
     def installation(self) -> Installation:
-        """Config and state directory, read once: flag > environment > file > default."""
+        """Config and state directory, read once: flag > environment > file > default.
+
+        Raises ConfigError, HardwareError.
+        """
         if self._found is None:
-            self._found = find_installation(self.config_flag, self.state_flag)
+            found = find_installation(self.config_flag, self.state_flag)
+            _require_usable(found.state_directory)
+            self._found = found
         return self._found
 
     @property
@@ -44,14 +51,37 @@ class Options:
         Where it is named, no config is needed to find it: a copied state can be read anywhere.
         """
         named = self.state_flag or os.environ.get("DCAM_STATE")
-        return Path(named).absolute() if named else self.installation.state_directory
+        if not named:
+            return self.installation.state_directory
+        state = Path(named).absolute()
+        _require_usable(state)
+        return state
+
+
+def _require_usable(state: Path) -> None:
+    """Raise HardwareError for a state directory that is there but cannot be looked into."""
+    try:
+        if not stat.S_ISDIR(state.stat().st_mode):
+            msg = f"{state}: not a directory; check its permissions, or name another --state"
+            raise HardwareError(msg)
+    except FileNotFoundError:
+        return  # whoever writes first makes it
+    except OSError as error:
+        msg = f"{state}: cannot be read ({error.strerror}); check its permissions"
+        raise HardwareError(msg) from error
+    if not os.access(state, os.R_OK | os.X_OK):
+        msg = f"{state}: cannot be read; check its permissions"
+        raise HardwareError(msg)
 
 
 pass_options = click.make_pass_decorator(Options, ensure=True)
 
 
 def common_options(function: Function) -> Function:
-    """Add `--config`, `--state` and `--debug`; the first two end in the context's `Options`."""
+    """Add `--config`, `--state` and `--debug`; the first two end in the context's `Options`.
+
+    Click does not look whether the paths can be read: that is no mistake of usage.
+    """
     for add in (
         click.option(
             "--debug",
@@ -62,7 +92,7 @@ def common_options(function: Function) -> Function:
         click.option(
             "--state",
             "state_flag",
-            type=click.Path(path_type=Path, file_okay=False),
+            type=click.Path(path_type=Path, readable=False),
             metavar="DIR",
             callback=_keep,
             expose_value=False,
@@ -71,7 +101,7 @@ def common_options(function: Function) -> Function:
         click.option(
             "--config",
             "config_flag",
-            type=click.Path(path_type=Path, dir_okay=False),
+            type=click.Path(path_type=Path, readable=False),
             metavar="FILE",
             callback=_keep,
             expose_value=False,

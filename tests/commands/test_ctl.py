@@ -7,9 +7,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
 
 from daemon.ctl import COMMANDS
+from daemon.ctl import cli as ctl_cli
+from daemon.errors import run
+from daemon.main import cli as dcamd_cli
 from daemon.store.database import open_store
 from tests.commands.conftest import CONFIG, SIMULATED, Ctl
 
@@ -69,6 +73,35 @@ def test_a_missing_config_is_exit_code_3(ctl: Ctl, tmp_path: Path) -> None:
     ran = ctl("--config", tmp_path / "nowhere.toml", "check")
     assert ran.code == 3
     assert "no such file" in ran.err
+
+
+@pytest.mark.parametrize("program", [ctl_cli, dcamd_cli])
+def test_a_config_that_is_a_directory_is_exit_code_3(
+    program: click.Command, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    words = ["check"] if program is ctl_cli else []
+    assert run(program, "dcam", ["--config", str(tmp_path), *words]) == 3
+    assert "Is a directory" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("program", [ctl_cli, dcamd_cli])
+@pytest.mark.parametrize("fault", ["a file", "below a file", "closed"])
+def test_a_state_that_cannot_be_read_is_exit_code_4(
+    program: click.Command,
+    fault: str,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "dcam.toml").write_text(SIMULATED)
+    state = {"a file": "dcam.toml", "below a file": "dcam.toml/state", "closed": "."}[fault]
+    if fault == "closed":  # root, who may run the tests, can read whatever the mode says
+        monkeypatch.setattr("daemon.commands.options.os.access", lambda _path, _mode: False)
+    options = ["--config", str(tmp_path / "dcam.toml"), "--state", str(tmp_path / state)]
+    words = ["gaps"] if program is ctl_cli else ["--max-slots", "1"]
+    assert run(program, "dcam", [*options, *words]) == 4
+    (line,) = capfd.readouterr().err.splitlines()
+    assert "check its permissions" in line
 
 
 def test_debug_shows_where_an_error_came_from(ctl: Ctl, tmp_path: Path) -> None:

@@ -92,7 +92,7 @@ def remove(image: Path) -> None:
         (colour, "4", "image_unreadable", "colour"),
         (truncate, "4", "image_unreadable", "truncated"),
         (empty, "4", "image_unreadable", "empty"),
-        (wrong_size, "4", "image_wrong_size", ""),
+        (wrong_size, "4", "image_wrong_size", "is 641x400 px, the config says 640x400"),
         (remove, "9", "image_missing", "not there"),
     ],
 )
@@ -109,6 +109,7 @@ def test_a_damaged_image_is_a_row_with_its_reason(
     assert f"{role}_{reason}" in rows[1]["reasons"].split("+")
     assert rows[1]["x_mm"] == rows[1]["y_mm"] == rows[1]["sigma_x_mm"] == ""
     assert told in ran.err
+    assert image.name in ran.err
     assert all(row["flag"] in {"1", "3"} for k, row in enumerate(rows) if k != 1)
 
 
