@@ -49,7 +49,8 @@ def load_config(path: Path) -> Config:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        # Some editors begin a UTF-8 file with a byte order mark.
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         msg = f"{path}: no such file; name one with --config FILE or DCAM_CONFIG"
     except OSError as error:
@@ -76,6 +77,12 @@ def _contradictions(config: Config) -> list[str]:
             f"schedule.offset_s: must be less than period_s = {schedule.period_s}, "
             f"is {schedule.offset_s}"
         )
+    for number, scenario in enumerate(config.simulation.scenarios):
+        if scenario.end_min is not None and scenario.end_min <= scenario.start_min:
+            problems.append(
+                f"simulation.scenarios[{number}].end_min: must be greater than start_min = "
+                f"{scenario.start_min:g}, is {scenario.end_min:g}"
+            )
     return problems
 
 

@@ -48,12 +48,19 @@ def describe_problems(error: ValidationError, model: type[BaseModel], path: Path
         for item in details
         if item["type"] == "extra_forbidden" and (name := _nearest_name(model, item["loc"]))
     }
-    # A misspelt required key would be reported twice: as unknown and as missing.
     return [
         f"{path}: {dotted(item['loc'])}: {_describe(item, model)}"
         for item in details
+        # A misspelt required key would be reported twice: as unknown and as missing.
         if not (item["type"] == "missing" and item["loc"] in meant)
+        # So would a wrong value in a list, which is then too short without it.
+        and not (item["type"] == "too_short" and _has_wrong_value(item["loc"], details))
     ]
+
+
+def _has_wrong_value(location: Location, details: list[ErrorDetails]) -> bool:
+    depth = len(location)
+    return any(len(item["loc"]) > depth and item["loc"][:depth] == location for item in details)
 
 
 def dotted(location: Location) -> str:

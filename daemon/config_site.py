@@ -99,7 +99,7 @@ class CirclesSection(Section):
         BeforeValidator(_number_to_list),
     ]
     distance_mm: float = Field(gt=0, le=1e6)
-    distance_sigma_mm: float = Field(default=20.0, gt=0)
+    distance_sigma_mm: float = Field(default=20.0, ge=0.01)
 
     def target(self) -> CirclesTarget:
         """Convert to the core's type; one diameter stands for all discs."""
@@ -150,9 +150,9 @@ class RigSection(Section):
         ],
         Strict(strict=False),
     ]
-    rotation_sigma_deg: float = Field(default=1.0, gt=0, le=45.0)
+    rotation_sigma_deg: float = Field(default=1.0, ge=1e-3, le=30.0)
     offset_main_sub_mm: Triple
-    offset_sigma_mm: float = Field(default=3.0, gt=0, le=1000.0)
+    offset_sigma_mm: float = Field(default=3.0, ge=0.01, le=1000.0)
 
     def prior(self) -> RigPrior:
         """Convert to the core's type."""

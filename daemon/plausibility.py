@@ -10,6 +10,8 @@ from core.site import CameraGeometry, CheckerboardTarget, CirclesTarget, RigPrio
 
 _MIN_DISC_PX = 3.0
 _MIN_SQUARE_PX = 4.0
+_MIN_OFFSET_MM = 5.0
+"""No two cameras have their centres of projection so near to one another."""
 
 
 def implausible_values(site: Site) -> list[str]:
@@ -18,10 +20,12 @@ def implausible_values(site: Site) -> list[str]:
         _distance("main", site.main, site.main_target.distance_mm),
         _distance("sub", site.sub, site.sub_target.distance_mm),
         _radians(site.rig),
+        _offset(site.rig),
     )
     if not any(problems):
         # Image sizes say nothing as long as the distance itself is wrong.
         problems = (
+            _distance_sigma(site.main_target),
             _layout(site.main_target),
             _disc_size(site.main, site.main_target),
             _square_size(site.sub, site.sub_target),
@@ -36,6 +40,25 @@ def _distance(which: str, camera: CameraGeometry, distance_mm: float) -> str | N
     return (
         f"target.{which}.distance_mm: {distance_mm:g} mm is nearer than the focal length of "
         f"{camera.focal_length_mm:g} mm; is this in metres?"
+    )
+
+
+def _distance_sigma(target: CirclesTarget) -> str | None:
+    if target.distance_sigma_mm <= target.distance_mm:
+        return None
+    return (
+        f"target.main.distance_sigma_mm: {target.distance_sigma_mm:g} mm is more than distance_mm "
+        f"{target.distance_mm:g}; is this in micrometres?"
+    )
+
+
+def _offset(rig: RigPrior) -> str | None:
+    apart_mm = float(np.linalg.norm(rig.offset_main_sub_mm))
+    if apart_mm >= _MIN_OFFSET_MM:
+        return None
+    return (
+        f"rig.offset_main_sub_mm: the cameras would be {apart_mm:.2g} mm apart, one inside the "
+        "other; is this in metres?"
     )
 
 

@@ -11,9 +11,10 @@ from typing import Literal
 
 import click
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from core.compensation import affine_error_px
-from core.site import Site
+from core.site import RigPrior, Site
 from daemon.commands.capture import frame_text
 from daemon.commands.options import Options, common_options, json_option, pass_options
 from daemon.commands.output import print_json, print_table
@@ -27,6 +28,8 @@ from daemon.store.errors import DatabaseMissingError, StoreError
 from daemon.wording import bytes_text
 from drivers.errors import DriverError
 
+SAME_WAY_DEG = 60.0
+"""Cameras with less between their directions look the same way."""
 LOW_DISK_BYTES = 20e9
 """About a week of full-size pairs, one a minute."""
 
@@ -102,10 +105,22 @@ def _geometry(site: Site) -> Iterator[Finding]:
     eq5_px = affine_error_px(target.distance_mm, drift.expected_drift_mm, off_axis_px)
     state: Literal["ok", "warning"] = "ok" if eq5_px < 1.0 else "warning"
     yield Finding("Eq. 5", state, f"{eq5_px:.3f} px, must be below 1 px for --method paper")
+    yield _directions(site.rig)
     square_px = site.sub_target.square_mm * site.sub.focal_px / site.sub_target.distance_mm
     seen = min(site.sub.width_px, site.sub.height_px) / square_px
     text = f"{square_px:.1f} px a square, {seen:.0f} squares across the shorter side"
     yield Finding("sub image", "ok", text)
+
+
+def _directions(rig: RigPrior) -> Finding:
+    """How the cameras look: two targets in one direction would not tell drift from motion."""
+    turned = Rotation.from_euler("xyz", rig.rotation_main_sub_deg, degrees=True)
+    angle_deg = float(np.degrees(np.arccos(np.clip(turned.as_matrix()[2, 2], -1.0, 1.0))))
+    text = f"drawn with {angle_deg:.0f} degrees between the cameras' directions"
+    if angle_deg < SAME_WAY_DEG:
+        text += ", looking the same way: is rig.rotation_main_sub_deg right? back to back is 180"
+        return Finding("rig", "warning", text)
+    return Finding("rig", "ok", text)
 
 
 def _state(site: Installation) -> Iterator[Finding]:

@@ -152,6 +152,19 @@ def test_check_warns_when_the_drift_takes_the_target_out_of_the_image(
     assert "warning" in line
 
 
+@pytest.mark.parametrize(
+    ("drawn", "state"), [("[0, 0, 0]", "warning"), ("[50, 0, 90]", "warning"), ("[0, 90, 0]", "ok")]
+)
+def test_check_warns_of_cameras_drawn_looking_the_same_way(
+    ctl: Ctl, tmp_path: Path, drawn: str, state: str
+) -> None:
+    (tmp_path / "dcam.toml").write_text(CONFIG.replace("[0.0, 180.0, 0.0]", drawn))
+    ran = ctl("--config", tmp_path / "dcam.toml", "--state", tmp_path / "state", "check")
+    (line,) = (line for line in ran.out.splitlines() if line.startswith("rig "))
+    assert line.split()[1] == state
+    assert ("the same way" in line) == (state == "warning")
+
+
 def test_check_of_a_damaged_database_is_exit_code_5(ctl: Ctl, tmp_path: Path) -> None:
     (tmp_path / "dcam.toml").write_text(CONFIG)
     (tmp_path / "dcam.db").write_bytes(b"no database" * 1000)

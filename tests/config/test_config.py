@@ -151,7 +151,20 @@ WRONG = [
         "distance_mm = -11000.0",
         r"target.main.distance_mm: must be greater than 0.*, is -11000.0$",
     ),
-    ("offset_sigma_mm = 3.0", "offset_sigma_mm = -3.0", "rig.offset_sigma_mm: must be greater"),
+    ("offset_sigma_mm = 3.0", "offset_sigma_mm = -3.0", "rig.offset_sigma_mm: must be at least"),
+    ("offset_sigma_mm = 3.0", "offset_sigma_mm = 0.003", "rig.offset_sigma_mm: .* in metres"),
+    ("rotation_sigma_deg = 1.0", "rotation_sigma_deg = 31.0", ".*sigma_deg: must be at most 30"),
+    ("rotation_sigma_deg = 1.0", "rotation_sigma_deg = 1e-4", ".*sigma_deg: must be at least"),
+    ("sigma_mm = 20.0", "sigma_mm = 0.005", "target.main.distance_sigma_mm: must be at least 0.01"),
+    ("sigma_mm = 20.0", "sigma_mm = 20000.0", "target.main.distance_sigma_mm: 20000 mm is more"),
+    (
+        "[0.0, 0.0, -80.0]",
+        "[0.0, 0.0, -0.08]",
+        "rig.offset_main_sub_mm: .* 0.08 mm apart, .* is this in metres",
+    ),
+    # one line only, although the list is too short without the wrong value
+    ("diameter_mm = 8.0", "diameter_mm = -8.0", r"target.main.diameter_mm\[0\]: must be greater"),
+    ("diameter_mm = 8.0", "diameter_mm = []", "target.main.diameter_mm: must have at least 1"),
     ("distance_mm = 50.0", "distance_mm = nan", "target.sub.distance_mm: must be a finite number"),
     ("180.0", "inf", r"rig.rotation_main_sub_deg\[1\]: must be a finite number, is inf"),
     ("distance_mm = 50.0", 'distance_mm = "50"', "target.sub.distance_mm: must be a number, is"),
@@ -212,6 +225,10 @@ def test_every_mistake_is_told_at_once(write) -> None:
             "[[simulation.scenarios]]\nkind = 'snow'\nstart_m = 3",
             r"simulation.scenarios\[0\].start_m: unknown key; did you mean .*\.start_min",
         ),
+        (
+            "[[simulation.scenarios]]\nkind = 'snow'\nstart_min = 3\nend_min = 3",
+            r"simulation.scenarios\[0\].end_min: must be greater than start_min = 3, is 3",
+        ),
         ("[web]\nport = 80", "web: unknown key; known here"),
     ],
 )
@@ -228,6 +245,12 @@ def test_file_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
     path.unlink()
     path.mkdir()
     assert "cannot be read" in problems_of(path)[0]
+
+
+def test_a_byte_order_mark_is_no_part_of_the_config(write) -> None:
+    path = write()
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert load_config(path).name == "pier-3"
 
 
 def test_hash_is_of_what_measures_and_not_of_how_it_is_written(write) -> None:
