@@ -71,7 +71,12 @@ def _replacing(path: Path) -> Iterator[TextIO]:
     path = path.resolve()  # a link is followed, not replaced
     temporary = temporary_name(path)
     try:
-        with temporary.open("w", encoding="utf-8", newline="") as file:
+        file = temporary.open("w", encoding="utf-8", newline="")
+    except OSError as error:
+        error.filename = str(path.parent)  # what stands in the way; nobody knows the other name
+        raise
+    try:
+        with file:
             yield file
             file.flush()
             os.fsync(file.fileno())

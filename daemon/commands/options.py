@@ -160,14 +160,28 @@ def utc_time(_ctx: click.Context, _parameter: click.Parameter, text: str | None)
     return when.replace(tzinfo=UTC) if when.tzinfo is None else when.astimezone(UTC)
 
 
+def _span_end(ctx: click.Context, parameter: click.Parameter, text: str | None) -> datetime | None:
+    """Read one end of a span; whichever is read second must fit the first."""
+    when = utc_time(ctx, parameter, text)
+    ends = {**ctx.params, parameter.name: when}
+    since, until = ends.get("since"), ends.get("until")
+    if since and until and since > until:
+        msg = f"--since {since:%Y-%m-%dT%H:%M:%SZ} is later than --until {until:%Y-%m-%dT%H:%M:%SZ}"
+        raise click.UsageError(msg, ctx)
+    return when
+
+
 def span_options(function: Function) -> Function:
-    """Add `--since` and `--until`."""
+    """Add `--since` and `--until`, in this order."""
     until = click.option(
-        "--until", callback=utc_time, metavar="TIME", help="Before this time, UTC; default: no end."
+        "--until",
+        callback=_span_end,
+        metavar="TIME",
+        help="Before this time, UTC; default: no end.",
     )
     since = click.option(
         "--since",
-        callback=utc_time,
+        callback=_span_end,
         metavar="TIME",
         help="From this time on, UTC: 2026-03-01, 2026-03-01T06:00:00Z, 24h, 30d.",
     )

@@ -103,6 +103,7 @@ def chosen_calibration(
     config: Config, state: Path, calibration_id: int | None
 ) -> ActiveCalibration:
     """Read a calibration, or the active one. Raises WorkFailedError when there is none."""
+    known: list[int | None] = []
     try:
         with open_store_readonly(state) as store:
             record = (
@@ -110,11 +111,18 @@ def chosen_calibration(
                 if calibration_id is None
                 else store.calibration(calibration_id)
             )
+            if record is None:
+                known = [made.id for made in store.calibrations()]
     except DatabaseMissingError:
         record = None
     if record is None:
         which = "active calibration" if calibration_id is None else f"calibration {calibration_id}"
-        msg = f"{state}: no {which}; run dcam-ctl calibrate with the same --state first"
+        todo = (
+            f"those known are {', '.join(map(str, known))}: choose one with --calibration"
+            if known
+            else "run dcam-ctl calibrate with the same --state first"
+        )
+        msg = f"{state}: no {which}; {todo}"
         raise WorkFailedError(msg)
     if record.config_hash != config.config_hash():
         note(f"warning: the config has changed since calibration {record.id} was made")

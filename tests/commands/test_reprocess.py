@@ -172,6 +172,17 @@ def test_without_a_calibration_it_says_how_to_get_one(
     assert len(ran.err.splitlines()) == 1
 
 
+def test_a_calibration_that_is_not_there_is_told_with_those_that_are(
+    ctl: Ctl, bench: Path, calibrated: Path
+) -> None:
+    ran = ctl(
+        *("--config", bench / "dcam.toml", "--state", calibrated),
+        *("reprocess", "--from", bench / "set", "--calibration", "99"),
+    )
+    assert ran.code == 1
+    assert "no calibration 99; those known are 1: choose one" in ran.err
+
+
 def test_without_a_database_it_says_the_same(ctl: Ctl, bench: Path, tmp_path: Path) -> None:
     ran = ctl(
         *("--config", bench / "dcam.toml", "--state", tmp_path / "state"),

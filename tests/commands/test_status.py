@@ -348,6 +348,23 @@ def test_export_writes_a_span_to_a_file_or_stdout(site: Site, tmp_path: Path) ->
     assert (tmp_path / "out.csv").read_text() == ran.out
 
 
+@pytest.mark.parametrize("command", ["gaps", "export"])
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_span_that_ends_before_it_begins_is_a_usage_error(
+    site: Site, command: str, order: int
+) -> None:
+    ends = [("--since", "2026-03-02"), ("--until", "2026-03-01")][::order]
+    ran = site.ctl(command, *(word for end in ends for word in end))
+    assert (ran.code, ran.out) == (2, "")
+    assert "--since 2026-03-02T00:00:00Z is later than --until 2026-03-01T00:00:00Z" in ran.err
+
+
+def test_an_output_that_cannot_be_made_is_told_by_its_directory(site: Site, tmp_path: Path) -> None:
+    ran = site.ctl("export", "--output", tmp_path / "nowhere" / "out.csv")
+    assert ran.code == 4
+    assert f"{tmp_path / 'nowhere'}: No such file or directory" in ran.err
+
+
 def test_a_format_of_a_later_part_is_not_offered(site: Site) -> None:
     assert site.ctl("export", "--format", "parquet").code == 2
 
