@@ -127,12 +127,12 @@ def test_runs_its_slots_faster_than_time_and_ends(site: Site) -> None:
     process = site.start("--max-slots", "8")
     site.told(r"^READY=1$")
     site.told(r"^STATUS=slot 2026-03-01T00:03:00Z missed: camera_lost$")
-    site.told(r"^STATUS=slot 2026-03-01T00:08:00Z done: bad$")
+    site.told(r"^STATUS=slot 2026-03-01T00:07:00Z done: bad$")
     site.told(r"^STOPPING=1$")
     assert process.wait(60) == 0
     with site.store() as store:
         rows = store.measured_slots()
-        assert rows == {MARCH + timedelta(minutes=minute) for minute in (1, 2, 6, 7, 8)}
+        assert rows == {MARCH + timedelta(minutes=minute) for minute in (0, 1, 2, 6, 7)}
         assert rows == site.acknowledged(site.log.read_text())
         (gap,) = store.gaps()
         assert (gap.slots, gap.cause) == (3, GapCause.CAMERA_LOST)
@@ -149,7 +149,7 @@ def test_simulated_time_goes_on_after_a_restart(site: Site) -> None:
         result = site.run("--max-slots", "2")
         assert result.returncode == 0, result.stderr
     with site.store() as store:
-        assert sorted(store.measured_slots()) == [MARCH + timedelta(minutes=m) for m in range(1, 5)]
+        assert sorted(store.measured_slots()) == [MARCH + timedelta(minutes=m) for m in range(4)]
         assert store.gaps() == []
 
 
@@ -279,10 +279,10 @@ def test_killed_at_a_write_every_slot_is_accounted_for(site: Site, syncs, step: 
     with site.store() as store:
         minutes = {(slot - MARCH) // timedelta(minutes=1) for slot in store.measured_slots()}
         pair_was_whole = step in {"pair entered in its table", "row going into the log"}
-        assert minutes == ({1, 2, 3, 11} if pair_was_whole else {1, 2, 11})
+        assert minutes == ({0, 1, 2, 11} if pair_was_whole else {0, 1, 11})
         assert {gap.cause for gap in store.gaps()} == {GapCause.CRASH}
         assert unaccounted(store) == 0
-        assert sum(gap.slots for gap in store.gaps()) == 11 - len(minutes)
+        assert sum(gap.slots for gap in store.gaps()) == 12 - len(minutes)
 
 
 @pytest.mark.parametrize(
