@@ -141,8 +141,9 @@ def corrected_displacement(
     by_pose = by_motion @ motion_by_pose(motion, setup.reference_pose)
     by_reference = by_motion @ motion_by_reference(motion, setup.reference_pose)
     root = view.whitening() * np.sqrt(board.weights)[:, None, None]
+    terms = setup.shape_terms
     here, there = (
-        pose_sensitivity(setup.lens, pose, setup.corners_mm, setup.shape_terms, view, root)[0]
+        pose_sensitivity(setup.lens, pose, setup.corners_mm, terms, view, root)[0]
         for pose in (board.pose, setup.reference_pose)
     )
     by_lens_shape = by_pose @ here + by_reference @ there

@@ -71,13 +71,16 @@ def locate_board(
     lattice = _lattice(grey, half_size=square_px > _HALF_SIZE_SQUARE_PX)
     height, width = grey.shape
     expected_px = lens.project(expected.apply(corners_mm))
+    candidates = name_near(lattice, board, width, height, expected_px)
     tried = []
-    for named in name_near(lattice, board, width, height, expected_px):
+    for named in candidates:
         pose = _rough_pose(lens, corners_mm, named, expected)
         located = refine_board(image, lens, pose, board, corners_mm, certain=named.certain)
+        if len(candidates) == 1:
+            return located
         tried.append((resect(lens, corners_mm, located.view, pose).plain_rms_px, located))
     tried.sort(key=lambda attempt: attempt[0])
-    if len(tried) > 1 and tried[1][0] > _CLEARLY_BETTER * tried[0][0]:
+    if tried[1][0] > _CLEARLY_BETTER * tried[0][0]:
         return replace(tried[0][1], certain=True)
     return tried[0][1]
 
