@@ -8,11 +8,12 @@ import cv2
 import numpy as np
 
 from core.board import Board
+from core.corner_fit import CORNER_REACH_SQUARES, CornerFits, locate_corners
 from core.errors import TargetNotFoundError
 from core.frames import GreyImage
 from core.lattice import Lattice, NamedLattice, join, name_near, name_on_board
 from core.lens import Lens
-from core.photometric import CORNER_REACH_SQUARES, CornerFits, as_float, locate_corners
+from core.pixel_fit import as_float
 from core.pose import Pose
 from core.resection import MIN_CORNERS, BoardView, resect
 from core.saddles import find_saddles

@@ -8,9 +8,10 @@ from itertools import permutations
 import numpy as np
 
 from core.blobs import Blobs, find_blobs
+from core.disc_fit import locate_discs
 from core.errors import TargetNotFoundError
 from core.frames import GreyImage
-from core.photometric import as_float, locate_discs
+from core.pixel_fit import as_float
 from core.site import BoolArray, CirclesTarget, ComplexArray, FloatArray, IntArray
 
 MIN_DISCS = 3

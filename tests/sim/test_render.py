@@ -15,9 +15,10 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from core.board import Board
+from core.corner_fit import locate_corners
 from core.corners import predict_corners
+from core.disc_fit import locate_discs
 from core.lens import Lens
-from core.photometric import locate_corners, locate_discs
 from core.pose import Pose
 from core.site import CameraGeometry, CheckerboardTarget
 from drivers.sim.geometry import TrueBoard, TrueLens
