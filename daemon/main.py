@@ -15,11 +15,13 @@ import structlog
 
 from daemon.commands.options import Options, common_options, pass_options
 from daemon.config import Installation
+from daemon.control import control_socket
 from daemon.devices import open_clock, open_pair_source, require_backend
 from daemon.errors import run
 from daemon.lock import sole_writer
 from daemon.log import configure_log
 from daemon.notify import Notifier
+from daemon.pause import Pause
 from daemon.pipeline import Pipeline
 from daemon.recovery import mark_stop, read_boot_id, recover
 from daemon.runner import SlotRunner
@@ -91,9 +93,12 @@ def _run(
         last_utc = recover(line, schedule, read_boot_id())
         store.add_event(clock.now_utc(), "started", f"version {VERSION}")
         _log.info("started", site=config.name, version=VERSION, state=str(archive.state))
+        pause = Pause(source.close)
+        opened.enter_context(control_socket(archive.state, pause))
         notifier.ready()
         prepare_cameras(source)
-        done = SlotRunner(line, schedule, source, stop, last_utc, notifier).run(max_slots)
+        runner = SlotRunner(line, schedule, source, stop, last_utc, notifier, pause)
+        done = runner.run(max_slots)
         notifier.stopping()
     store.add_event(clock.now_utc(), "stopped", f"after {done} slots")
     mark_stop(store, clock.now_utc())

@@ -10,6 +10,7 @@ from datetime import datetime, timedelta
 import structlog
 
 from daemon.notify import Notifier
+from daemon.pause import Pause
 from daemon.pipeline import Missed, Pipeline, record_late, run_slot
 from daemon.recovery import mark_finished
 from daemon.schedule import MissedSlots, Schedule
@@ -41,12 +42,14 @@ class SlotRunner:
         stop: threading.Event,
         last_utc: datetime | None,
         notifier: Notifier,
+        pause: Pause | None = None,
     ) -> None:
         self._line = line
         self._schedule = schedule
         self._source = source
         self._stop = stop
         self._notifier = notifier
+        self._pause = pause or Pause(source.close)
         self._last = last_utc
         """The last slot that is accounted for, or owed."""
         self._owed: deque[_Owed] = deque()
@@ -85,7 +88,11 @@ class SlotRunner:
         return slot
 
     def _run(self, slot: datetime) -> None:
-        outcome = run_slot(self._line, slot, self._source)
+        with self._pause.slot() as reason:
+            if reason is None:
+                outcome = run_slot(self._line, slot, self._source)
+            else:
+                outcome = Missed(slot, GapCause.CALIBRATION, reason)
         self._clock_trouble = ""
         if isinstance(outcome, Missed):
             self._owe(MissedSlots(slot, slot, 1), outcome.cause, outcome.detail)
