@@ -109,17 +109,31 @@ def raw_displacement(setup: Setup, discs: Discs) -> tuple[Displacement, Shift]:
     which = choose_discs(setup, discs)
     miss = discs.points_px[which] - setup.reference_discs_px[which]
     mean, shift = _common_shift(miss, which)
-    to_mm = np.linalg.inv(setup.B)
-    covariance = to_mm @ _disc_covariance(discs, shift) @ to_mm.T
-    return Displacement(to_mm @ mean, covariance), shift
+    return _displacement(
+        setup, mean, _disc_covariance(discs, shift), _reference_noise(discs, shift)
+    ), shift
 
 
 def _disc_covariance(discs: Discs, shift: Shift) -> FloatArray:
     """Covariance (2, 2) px^2 of the common shift: image noise here and in the reference."""
-    each = discs.covariance_px2[shift.which] + _DISC_FLOOR_PX**2 * np.eye(2)
-    predicted = 2.0 * np.einsum("k,kab->ab", shift.weights**2, each)
+    predicted = 2.0 * _reference_noise(discs, shift)
     spread = shift.residual_px**2 / max(len(shift.which) - 1, 1)
     return np.asarray(predicted + max(0.0, spread - np.trace(predicted) / 2.0) * np.eye(2))
+
+
+def _reference_noise(discs: Discs, shift: Shift) -> FloatArray:
+    """Covariance (2, 2) px^2 of the common shift from the reference: taken to be as noisy."""
+    each = discs.covariance_px2[shift.which] + _DISC_FLOOR_PX**2 * np.eye(2)
+    return np.asarray(np.einsum("k,kab->ab", shift.weights**2, each))
+
+
+def _displacement(
+    setup: Setup, shift_px: FloatArray, covariance_px2: FloatArray, shared_px2: FloatArray
+) -> Displacement:
+    to_mm = np.linalg.inv(setup.B)
+    return Displacement(
+        to_mm @ shift_px, to_mm @ covariance_px2 @ to_mm.T, to_mm @ shared_px2 @ to_mm.T
+    )
 
 
 def corrected_displacement(
@@ -148,10 +162,9 @@ def corrected_displacement(
     )
     by_lens_shape = by_pose @ here + by_reference @ there
     by_calibration = np.concatenate([by_lens_shape, by_model, by_reference], axis=1)
-    covariance_px = (
-        _disc_covariance(discs, shift)
-        + by_pose @ board.covariance @ by_pose.T
-        + by_calibration @ setup.covariance @ by_calibration.T
+    calibration_px2 = by_calibration @ setup.covariance @ by_calibration.T
+    covariance_px2 = (
+        _disc_covariance(discs, shift) + by_pose @ board.covariance @ by_pose.T + calibration_px2
     )
-    to_mm = np.linalg.inv(setup.B)
-    return Displacement(to_mm @ mean, to_mm @ covariance_px @ to_mm.T), shift
+    shared_px2 = calibration_px2 + _reference_noise(discs, shift)
+    return _displacement(setup, mean, covariance_px2, shared_px2), shift

@@ -8,6 +8,7 @@ from core.compensation import Shift, affine_error_px
 from core.corners import LocatedBoard
 from core.discs import Discs
 from core.frames import GreyImage
+from core.imprint import missing_print
 from core.paper import PaperModel
 from core.resection import BoardPose
 from core.results import Displacement, Flag, Reason, RigMotion
@@ -19,6 +20,8 @@ _SATURATED_SHARE = 0.3
 _HIDDEN_SHARE = 0.005
 _MISFIT_WEIGHT = 0.1  # five standard deviations off
 _MISFIT_PX = 0.05  # and more than a board's print errors leave
+_FOREIGN_SHARE = 0.25
+"""Of the print errors: two squares off, even the lines of one direction alone leave 0.4."""
 _CLEAN = 0.95
 _BLUR_FACTOR = 2.0
 _RESIDUAL_FACTOR = 3.0
@@ -66,9 +69,21 @@ def judge_sub(setup: Setup, located: LocatedBoard, board: BoardPose) -> list[Rea
         setup, located
     ):
         reasons.append(Reason.SUB_TARGET_DISTURBED)
+    if _is_foreign(setup, located, board):
+        reasons.append(Reason.SUB_TARGET_CHANGED)
     if located.blur_px > _BLUR_FACTOR * max(setup.levels.sub_blur_px, 0.8):
         reasons.append(Reason.BLURRED)
     return reasons
+
+
+def _is_foreign(setup: Setup, located: LocatedBoard, board: BoardPose) -> bool:
+    """Whether the print errors of the calibrated board are missing.
+
+    Print errors smaller than the noise of a corner are known too poorly to be missed, and too
+    small to spoil a value.
+    """
+    share, size_px = missing_print(setup, located.view, board)
+    return share > _FOREIGN_SHARE and size_px > setup.levels.sub_rms_px
 
 
 def _noisier(setup: Setup, located: LocatedBoard) -> float:

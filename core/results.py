@@ -35,6 +35,8 @@ class Reason(StrEnum):
     SUB_TARGET_PARTLY_HIDDEN = "sub_target_partly_hidden"
     SUB_TARGET_DISTURBED = "sub_target_disturbed"
     SUB_TARGET_UNCERTAIN = "sub_target_uncertain"
+    SUB_TARGET_CHANGED = "sub_target_changed"
+    """Not the board that was calibrated, or its corners are named a period off."""
     BLURRED = "blurred"
     MOTION_OUT_OF_RANGE = "motion_out_of_range"
     AFFINE_INVALID = "affine_invalid"
@@ -65,6 +67,8 @@ class Displacement:
     """(2,) x, y."""
     covariance_mm2: FloatArray
     """(2, 2)."""
+    shared_mm2: FloatArray | None = None
+    """(2, 2) the part of it that is the same in every frame: calibration and reference."""
 
 
 @dataclass(frozen=True, slots=True)

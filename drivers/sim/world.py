@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 
 import numpy as np
@@ -16,8 +16,6 @@ from drivers.sim.geometry import TrueGeometry, build_geometry, held_board_pose
 from drivers.sim.motion import TrueMotion
 from drivers.sim.render import CameraRenderer, Look
 from drivers.sim.settings import Scenario, ScenarioKind, SimSettings
-
-ROLES: tuple[Role, Role] = ("main", "sub")
 
 PLATE_MARGIN = 1.75
 """Black plate beyond the outermost disc centres, in disc diameters."""
@@ -50,27 +48,34 @@ class _State:
 class World:
     """A rig built from a site's drawing, with its head, drift, bridge, weather and cameras."""
 
-    def __init__(self, site: Site, settings: SimSettings) -> None:
+    def __init__(self, site: Site, settings: SimSettings, *, renders: bool = True) -> None:
+        """Build it. renders=False: only the truth is asked for, which spares the cameras' rays."""
         self.site = site
         self.settings = settings
         self.geometry: TrueGeometry = build_geometry(site, settings)
         self._motion = TrueMotion(settings)
         self._head_deg = (0.0, 0.0)
         self._held: tuple[int, Pose] | None = None
-        optics, uphill = settings.optics, np.random.default_rng([settings.seed, 3]).uniform(0, 6.28)
-        main = Look(optics.main_blur_px, optics.corner_blur, optics.main_shading, uphill)
-        sub = Look(optics.sub_blur_px, optics.corner_blur, optics.sub_shading, uphill + 2.0)
-        self._renderers = {
-            "main": CameraRenderer(site.main, self.geometry.main, main, settings.sensor),
-            "sub": CameraRenderer(site.sub, self.geometry.sub, sub, settings.sensor),
-        }
+        self._slip = Pose.identity()
+        self._board = self.geometry.board
         target = site.main_target
         self._discs = np.column_stack([target.centres_mm, target.diameters_mm / 2.0])
         margin = PLATE_MARGIN * float(target.diameters_mm.max())
         low, high = target.centres_mm.min(axis=0), target.centres_mm.max(axis=0)
         self._plate = np.concatenate([low - margin, high + margin])
-        for role in ROLES:  # compiles the kernels here, not within a camera's deadline
+        self._renderers = self._make_renderers() if renders else {}
+        for role in self._renderers:  # compiles the kernels here, not within a camera's deadline
             self.render(role, settings.start_utc)
+
+    def _make_renderers(self) -> dict[Role, CameraRenderer]:
+        site, optics, sensor = self.site, self.settings.optics, self.settings.sensor
+        uphill = np.random.default_rng([self.settings.seed, 3]).uniform(0, 6.28)
+        main = Look(optics.main_blur_px, optics.corner_blur, optics.main_shading, uphill)
+        sub = Look(optics.sub_blur_px, optics.corner_blur, optics.sub_shading, uphill + 2.0)
+        return {
+            "main": CameraRenderer(site.main, self.geometry.main, main, sensor),
+            "sub": CameraRenderer(site.sub, self.geometry.sub, sub, sensor),
+        }
 
     # ------------------------------------------------------------------ what moves the rig
 
@@ -85,6 +90,22 @@ class World:
             return
         rng = np.random.default_rng([self.settings.seed, 4, number])
         self._held = (number, held_board_pose(self.site, self.geometry, rng))
+
+    def slip_board(self, x_mm: float, y_mm: float, turn_deg: float = 0.0) -> None:
+        """Let the board sit elsewhere on the pier than when it was bonded, turned about its middle.
+
+        The truth stays: neither the rig nor the bridge has moved. 0, 0 puts it back.
+        """
+        middle = np.append(self.geometry.board.size_mm / 2.0, 0.0)
+        turn = np.array([0.0, 0.0, math.radians(turn_deg)])
+        slip = Pose.from_vectors(turn, np.zeros(3))
+        shift = np.array([x_mm, y_mm, 0.0])
+        self._slip = Pose(slip.R, middle - slip.R @ middle + shift)
+
+    def replace_board(self, seed: int | None) -> None:
+        """Put another print of the same drawing in the board's place; None: the first one."""
+        other = replace(self.settings, seed=self.settings.seed if seed is None else seed)
+        self._board = build_geometry(self.site, other).board
 
     # ------------------------------------------------------------------ what is true
 
@@ -131,7 +152,7 @@ class World:
 
     def board_corners_px(self, t_utc: datetime) -> FloatArray:
         """True images (squares_y + 1, squares_x + 1, 2) of all line crossings in the sub-camera."""
-        corners = self.geometry.board.corners_mm()
+        corners = self._board.corners_mm()
         seen = self._board_pose(self._state(t_utc)).apply(corners.reshape(-1, 3))
         return self.geometry.sub.project(seen).reshape(*corners.shape[:2], 2)
 
@@ -151,7 +172,7 @@ class World:
                 at_px = self.disc_centres_px(t_utc)[rng.integers(len(self._discs))]
                 draw_insect(image, at_px + rng.normal(size=2), self._insect_px("main"), rng)
         else:
-            pose, board = self._board_pose(state), self.geometry.board
+            pose, board = self._board_pose(state), self._board
             image = renderer.board(pose, board, optics.sub_white, optics.sub_black)
             if self.active("insect_sub", t_utc):
                 view = np.array([self.site.sub.width_px, self.site.sub.height_px])
@@ -182,7 +203,9 @@ class World:
         return T_CMj_CM0.compose(self.geometry.T_CM_WM).compose(moved)
 
     def _board_pose(self, state: _State) -> Pose:
-        return self._held[1] if self._held else state.T_CSj_CS0.compose(self.geometry.T_CS_WS)
+        if self._held:
+            return self._held[1]
+        return state.T_CSj_CS0.compose(self.geometry.T_CS_WS).compose(self._slip)
 
     def _project_main(self, state: _State, points_mm: FloatArray) -> FloatArray:
         return self.geometry.main.project(self._target_pose(state).apply(points_mm))
