@@ -68,6 +68,7 @@ def measure_pair(
         raw,
         motion,
         _diagnostics(main_seen, sub_seen, common.residual_px if common else None),
+        frames_used=0 if corrected is None else 1,
     )
 
 

@@ -89,7 +89,7 @@ class Diagnostics:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """One frame pair, measured: what a row of the database says of it."""
+    """One frame pair, or the pairs of one slot, measured: what a row of the database says."""
 
     flag: Flag
     reasons: tuple[Reason, ...]
@@ -100,3 +100,7 @@ class Measurement:
     motion: RigMotion | None
     """Given whenever the sub target was found."""
     diagnostics: Diagnostics = field(default_factory=Diagnostics)
+    spread_mm: FloatArray | None = None
+    """(2,) 1 sigma of one pair of a burst about their mean; None with one pair."""
+    frames_used: int = 0
+    """Pairs that the value rests on."""
