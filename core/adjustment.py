@@ -24,7 +24,6 @@ from core.rig import RIG_PARAMETERS, MainView, Rig, rig_residuals
 from core.site import FloatArray
 
 SHAPE_PARAMETERS = 13
-_N_LENS = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +31,7 @@ class AdjustmentPriors:
     """1-sigma priors; 0 keeps the parameter where it is."""
 
     lens: FloatArray
-    """(10,) about the start values, in the lens's units."""
+    """(lens parameters,) about the start values, in the lens's units."""
     scale: float = 1.0e-3
     """Print scale in x and y, and shear."""
     bow_mm: tuple[float, float, float] = (0.1, 0.03, 0.03)
@@ -57,7 +56,7 @@ class Adjusted:
     corners_mm: FloatArray
     """(corners, 3) the board as estimated."""
     covariance: FloatArray
-    """Of lens, shape, rig and the first pose, in this order: (10 + 13 + 8 + 6) square.
+    """Of lens, shape, rig and the first pose, in this order: (its size + 13 + 8 + 6) square.
 
     The first pose is what is left of it once the errors of lens and board have had their effect
     on a pose fitted to its image: those turn all poses nearly alike, and only differences of
@@ -108,7 +107,7 @@ def pose_sensitivity(
     """How a pose fitted to located corners follows lens and board.
 
     The pose is where J^T W (u - f) = 0, so it moves by -(J^T W J)^-1 J^T W df/dx. Gives that by
-    lens and shape (6, 23) and by the corners' offsets (6, n, 2). root (n, 2, 2) whitens.
+    lens and shape (6, its size + 13) and by the corners' offsets (6, n, 2). root (n, 2, 2) whitens.
     """
     _, by_pose, by_point, by_lens = pose_jacobian(lens, pose, corners_mm[view.index])
     flat = (root @ by_pose).reshape(-1, 6)
@@ -124,19 +123,29 @@ def pose_sensitivity(
 class _Layout:
     """Where each group of unknowns stands in the dense system."""
 
+    lens_size: int
     views: int
 
-    lens = slice(0, _N_LENS)
-    shape = slice(_N_LENS, _N_LENS + SHAPE_PARAMETERS)
-    rig = slice(_N_LENS + SHAPE_PARAMETERS, _N_LENS + SHAPE_PARAMETERS + RIG_PARAMETERS)
+    @property
+    def lens(self) -> slice:
+        return slice(0, self.lens_size)
+
+    @property
+    def shape(self) -> slice:
+        return slice(self.lens_size, self.lens_size + SHAPE_PARAMETERS)
+
+    @property
+    def rig(self) -> slice:
+        start = self.lens_size + SHAPE_PARAMETERS
+        return slice(start, start + RIG_PARAMETERS)
 
     def pose(self, view: int) -> slice:
-        start = _N_LENS + SHAPE_PARAMETERS + RIG_PARAMETERS + 6 * view
+        start = self.lens_size + SHAPE_PARAMETERS + RIG_PARAMETERS + 6 * view
         return slice(start, start + 6)
 
     @property
     def size(self) -> int:
-        return _N_LENS + SHAPE_PARAMETERS + RIG_PARAMETERS + 6 * self.views
+        return self.lens_size + SHAPE_PARAMETERS + RIG_PARAMETERS + 6 * self.views
 
 
 def adjust(
@@ -239,7 +248,7 @@ class _Problem:
         self.start_lens, self.start_rig, self.main_views = start_lens, start_rig, main_views
         self.whitening = [view.whitening() for view in views]
         self.terms = shape_terms(board)
-        self.layout = _Layout(len(views))
+        self.layout = _Layout(start_lens.size, len(views))
         layout = self.layout
         sigma = np.full(layout.size, np.inf)
         sigma[layout.lens], sigma[layout.shape] = priors.lens, _shape_sigmas(priors)
@@ -360,7 +369,7 @@ class _Problem:
         offsets = state.offsets_mm + offset_step
         return replace(
             state,
-            lens=Lens(state.lens.parameters + step[layout.lens]),
+            lens=state.lens.moved(step[layout.lens]),
             shape=shape,
             offsets_mm=offsets,
             poses=tuple(pose.perturbed(step[layout.pose(v)]) for v, pose in enumerate(state.poses)),

@@ -23,7 +23,9 @@ from core.setup import Setup
 from core.site import Site
 from core.views import CalibrationView, ViewRole, look, relocate
 
-_FORMAT = 1
+_FORMAT = 2
+_READABLE = (1, 2)
+"""Format 1 had the one lens model that there was, without its name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +43,8 @@ class Calibration:
     def from_dict(cls, data: dict[str, Any]) -> Calibration:
         """Read what `to_dict` gave. Raises CalibrationError."""
         try:
-            if data["format"] != _FORMAT:
-                msg = f"calibration of format {data['format']}, this version reads {_FORMAT}"
+            if data["format"] not in _READABLE:
+                msg = f"calibration of format {data['format']}, this version reads up to {_FORMAT}"
                 raise CalibrationError(msg)
             return cls(Method(data["method"]), Setup.from_dict(data["setup"]))
         except (KeyError, ValueError, TypeError) as error:

@@ -176,8 +176,9 @@ def _figures(
             v.name: round(r, 5)
             for v, r in zip(fit.views.all, fit.adjusted.view_rms_px, strict=True)
         },
+        "lens_model": setup.lens.model.value,
         "lens": setup.lens.parameters.tolist(),
-        "lens_sigma": np.sqrt(np.diag(setup.covariance))[:10].tolist(),
+        "lens_sigma": np.sqrt(np.diag(setup.covariance))[: setup.lens.size].tolist(),
         "board_scale": fit.adjusted.shape[:2].tolist(),
         "board_bow_mm": float(np.ptp(setup.corners_mm[:, 2])),
         "px_per_mm": float(np.linalg.svd(setup.B, compute_uv=False)[0]),

@@ -170,7 +170,7 @@ def predict_corners(
     corner in squares as polynomials (u, v, u^2, u v, v^2) of the pixel's offset, fitted to a
     3 x 3 stencil of board points.
     """
-    index = np.nonzero(pose.apply(corners_mm)[:, 2] > 0.1 * board.square_mm)[0]
+    index = np.nonzero(lens.sees(pose.apply(corners_mm)))[0]
     points = lens.project(pose.apply(corners_mm[index]))
     height, width = shape
     margin = 2.0

@@ -9,7 +9,7 @@ from enum import StrEnum
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from core.adjustment import Adjusted, AdjustmentPriors, adjust
+from core.adjustment import SHAPE_PARAMETERS, Adjusted, AdjustmentPriors, adjust
 from core.board import Board
 from core.compensation import affine, predict_shift
 from core.discs import Discs
@@ -20,7 +20,7 @@ from core.observability import require_motion
 from core.paper import PaperModel, fit_paper
 from core.pose import Pose
 from core.resection import resect
-from core.rig import MainView, Rig
+from core.rig import RIG_PARAMETERS, MainView, Rig
 from core.setup import Levels, Setup
 from core.site import FloatArray, Site
 from core.views import Rejected, Views
@@ -66,7 +66,7 @@ class Fit:
     """(2, 2) B~ of Eq. 8, px/mm."""
     model: Rig | PaperModel
     covariance: FloatArray
-    """Of lens (10), board shape (13), model (8 or 9), reference pose (6)."""
+    """Of lens (its size), board shape (13), model (8 or 9), reference pose (6)."""
 
     @property
     def reference_pose(self) -> Pose:
@@ -152,13 +152,12 @@ def _fit_paper(
 
 def _paper_covariance(adjusted: Adjusted, model: PaperModel) -> FloatArray:
     """The rig's place in the adjustment's covariance taken by the nine parameters."""
-    lens_shape, pose = slice(0, 23), slice(31, 37)
-    covariance = np.zeros((38, 38))
-    covariance[:23, :23] = adjusted.covariance[lens_shape, lens_shape]
-    covariance[23:32, 23:32] = model.covariance
-    covariance[32:, 32:] = adjusted.covariance[pose, pose]
-    covariance[:23, 32:] = adjusted.covariance[lens_shape, pose]
-    covariance[32:, :23] = adjusted.covariance[pose, lens_shape]
+    size = adjusted.lens.size + SHAPE_PARAMETERS
+    kept = np.r_[:size, size + RIG_PARAMETERS : len(adjusted.covariance)]
+    covariance = np.zeros((size + 15, size + 15))
+    place = np.r_[:size, size + 9 : size + 15]
+    covariance[np.ix_(place, place)] = adjusted.covariance[np.ix_(kept, kept)]
+    covariance[size : size + 9, size : size + 9] = model.covariance
     return covariance
 
 

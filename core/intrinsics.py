@@ -13,7 +13,7 @@ from core.board import Board
 from core.corners import detect_board, locate_board
 from core.errors import CalibrationError, TargetNotFoundError
 from core.frames import GreyImage
-from core.lens import Lens
+from core.lens import Lens, LensModel
 from core.pose import Pose
 from core.resection import BoardView, resect
 from core.site import CameraGeometry, FloatArray
@@ -31,7 +31,7 @@ def lens_prior(camera: CameraGeometry, *, skew: bool = False) -> FloatArray:
 
 def nominal_lens(camera: CameraGeometry) -> Lens:
     """Give the lens as drawn: no distortion, the principal point in the middle."""
-    return Lens.pinhole(camera.focal_px, (camera.centre_px[0], camera.centre_px[1]))
+    return Lens.ideal(LensModel.BROWN, camera.focal_px, camera.centre_px)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,14 +1,46 @@
-"""The sub-camera's lens: pinhole with skew (Eq. 10) and Brown-Conrady distortion."""
+"""A camera's lens: intrinsics with skew (Eq. 10) and one of a closed family of distortions."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
-from core.site import FloatArray
+from core.lens_kernels import MOST_DISTORTION, fisheye, perspective
+from core.site import BoolArray, FloatArray
 
-LENS_PARAMETERS = ("alpha", "beta", "gamma", "mu", "nu", "k1", "k2", "p1", "p2", "k3")
+INTRINSICS = 5
+_WIDEST_TANGENT = 6.0
+"""A perspective lens is not looked through further off its axis than this (80 degrees)."""
+_WIDEST_ANGLE_RAD = 2.2
+_STEPS = 240
+
+
+class LensModel(StrEnum):
+    """The distortions there are, the one with the fewest coefficients first."""
+
+    RADIAL = "radial"
+    """Brown (1971), symmetric: k1, k2."""
+    FISHEYE = "fisheye"
+    """Kannala and Brandt (2006): k1 to k4 in the angle from the axis; to 180 degrees and beyond."""
+    BROWN = "brown"
+    """Brown (1971) with decentring: k1, k2, p1, p2, k3 (OpenCV's five)."""
+    RATIONAL = "rational"
+    """A ratio of polynomials: k1, k2, p1, p2, k3, k4, k5, k6 (OpenCV's eight)."""
+
+    @property
+    def coefficients(self) -> tuple[str, ...]:
+        """Names of the distortion's coefficients, in their order."""
+        if self is LensModel.FISHEYE:
+            return ("k1", "k2", "k3", "k4")
+        many = {LensModel.RADIAL: 2, LensModel.BROWN: 5, LensModel.RATIONAL: 8}[self]
+        return ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")[:many]
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of all parameters, the intrinsics of Eq. 10 first."""
+        return ("alpha", "beta", "gamma", "mu", "nu", *self.coefficients)
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,103 +48,146 @@ class Lens:
     """Intrinsics of one camera, in the paper's symbols (Eq. 10), with distortion.
 
     u = alpha x'' + gamma y'' + mu, v = beta y'' + nu, where (x'', y'') is the distorted
-    normalised image point (Brown 1971, as in OpenCV's five-parameter model).
+    image point at unit focal length.
     """
 
     parameters: FloatArray
-    """(10,) in the order of LENS_PARAMETERS; px for the first five."""
+    """(5 + coefficients,) in the order of LensModel.parameters; px for the first five."""
+    model: LensModel = LensModel.BROWN
+
+    def __post_init__(self) -> None:
+        """Refuse parameters of another model."""
+        if self.parameters.shape != (len(self.model.parameters),):
+            msg = (
+                f"a {self.model} lens has {len(self.model.parameters)} parameters, "
+                f"{self.parameters.shape} given"
+            )
+            raise ValueError(msg)
 
     @classmethod
-    def pinhole(cls, focal_px: float, centre_px: tuple[float, float]) -> Lens:
-        """Build an undistorted lens."""
+    def ideal(
+        cls, model: LensModel, focal_px: float, centre_px: tuple[float, float] | FloatArray
+    ) -> Lens:
+        """Build a lens without distortion: tan(theta), or theta itself for a fisheye."""
         mu, nu = centre_px
-        return cls(np.array([focal_px, focal_px, 0.0, mu, nu, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        coefficients = [0.0] * len(model.coefficients)
+        return cls(np.array([focal_px, focal_px, 0.0, mu, nu, *coefficients], dtype=float), model)
+
+    @property
+    def size(self) -> int:
+        """How many parameters there are."""
+        return len(self.parameters)
 
     @property
     def matrix(self) -> FloatArray:
         """(3, 3) intrinsic matrix A of Eq. 10."""
-        alpha, beta, gamma, mu, nu = self.parameters[:5]
+        alpha, beta, gamma, mu, nu = self.parameters[:INTRINSICS]
         return np.array([[alpha, gamma, mu], [0.0, beta, nu], [0.0, 0.0, 1.0]])
 
-    def distort(self, xy: FloatArray) -> FloatArray:
-        """Distort normalised points (n, 2)."""
-        k1, k2, p1, p2, k3 = self.parameters[5:]
-        x, y = xy[:, 0], xy[:, 1]
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        return np.stack(
-            [
-                x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-                y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-            ],
-            axis=1,
-        )
-
-    def distort_jacobian(self, xy: FloatArray) -> FloatArray:
-        """d(distorted)/d(normalised), (n, 2, 2)."""
-        k1, k2, p1, p2, k3 = self.parameters[5:]
-        x, y = xy[:, 0], xy[:, 1]
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
-        jacobian = np.empty((len(xy), 2, 2))
-        jacobian[:, 0, 0] = radial + x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
-        jacobian[:, 0, 1] = x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
-        jacobian[:, 1, 0] = jacobian[:, 0, 1]
-        jacobian[:, 1, 1] = radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
-        return jacobian
+    def moved(self, step: FloatArray) -> Lens:
+        """Add a step to the parameters."""
+        return Lens(self.parameters + step, self.model)
 
     def project(self, points_mm: FloatArray) -> FloatArray:
         """Project points in the camera frame (n, 3) to pixels (n, 2)."""
-        return self.to_pixels(self.distort(points_mm[:, :2] / points_mm[:, 2:]))
-
-    def to_pixels(self, distorted: FloatArray) -> FloatArray:
-        """Apply the intrinsic matrix to distorted normalised points (n, 2)."""
-        alpha, beta, gamma, mu, nu = self.parameters[:5]
-        u = alpha * distorted[:, 0] + gamma * distorted[:, 1] + mu
-        return np.stack([u, beta * distorted[:, 1] + nu], axis=1)
+        nothing = np.empty((0, 2, 3))
+        pixels = np.empty((len(points_mm), 2))
+        self._run(points_mm, pixels, nothing, np.empty((0, 2, self.size)))
+        return pixels
 
     def project_jacobians(self, points_mm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Project points (n, 3), with d(px)/d(point) (n, 2, 3) and d(px)/d(lens) (n, 2, 10)."""
-        alpha, beta, gamma = self.parameters[:3]
-        z = points_mm[:, 2]
-        xy = points_mm[:, :2] / z[:, None]
-        distorted = self.distort(xy)
-        to_px = np.array([[alpha, gamma], [0.0, beta]])
-        by_xy = to_px @ self.distort_jacobian(xy)
-        by_point = np.empty((len(z), 2, 3))
-        by_point[:, :, :2] = by_xy / z[:, None, None]
-        by_point[:, :, 2] = -(by_xy @ xy[:, :, None])[:, :, 0] / z[:, None]
-        by_lens = np.zeros((len(z), 2, 10))
-        by_lens[:, 0, 0] = distorted[:, 0]
-        by_lens[:, 1, 1] = distorted[:, 1]
-        by_lens[:, 0, 2] = distorted[:, 1]
-        by_lens[:, 0, 3] = 1.0
-        by_lens[:, 1, 4] = 1.0
-        by_lens[:, :, 5:] = to_px @ _distortion_terms(xy)
-        return self.to_pixels(distorted), by_point, by_lens
+        """Project points (n, 3), with d(px)/d(point) (n, 2, 3) and d(px)/d(lens) (n, 2, size)."""
+        n = len(points_mm)
+        pixels, by_point, by_lens = (
+            np.empty((n, 2)),
+            np.empty((n, 2, 3)),
+            np.empty((n, 2, self.size)),
+        )
+        self._run(points_mm, pixels, by_point, by_lens)
+        return pixels, by_point, by_lens
 
-    def normalise(self, pixels: FloatArray, iterations: int = 30) -> FloatArray:
-        """Undo lens and intrinsics: pixels (n, 2) to normalised image points (n, 2), by Newton."""
-        alpha, beta, gamma, mu, nu = self.parameters[:5]
-        y = (pixels[:, 1] - nu) / beta
-        target = np.stack([(pixels[:, 0] - mu - gamma * y) / alpha, y], axis=1)
-        xy = target.copy()
-        for _ in range(iterations):
-            miss = self.distort(xy) - target
-            step = np.linalg.solve(self.distort_jacobian(xy), miss[:, :, None])[:, :, 0]
-            np.clip(step, -0.3, 0.3, out=step)
-            xy -= step
+    def _run(
+        self, points_mm: FloatArray, px: FloatArray, by_point: FloatArray, by_lens: FloatArray
+    ) -> None:
+        points = np.ascontiguousarray(points_mm, dtype=float)
+        if self.model is LensModel.FISHEYE:
+            fisheye(points, np.ascontiguousarray(self.parameters), px, by_point, by_lens)
+            return
+        filled = np.zeros(INTRINSICS + MOST_DISTORTION)
+        filled[: self.size] = self.parameters
+        perspective(points, filled, px, by_point, by_lens)
+
+    def sees(self, points_mm: FloatArray) -> BoolArray:
+        """Which points (n, 3) lie where the image still grows with the angle from the axis.
+
+        Beyond that a polynomial folds the scene back into the image, which no lens does.
+        """
+        off_axis = np.hypot(points_mm[:, 0], points_mm[:, 1])
+        limit = self._limit()
+        if self.model is LensModel.FISHEYE:
+            return np.asarray(np.arctan2(off_axis, points_mm[:, 2]) < limit)
+        return np.asarray((points_mm[:, 2] > 0.0) & (off_axis < limit * points_mm[:, 2]))
+
+    def _limit(self) -> float:
+        """Tangent (fisheye: angle, rad) at which the radial distortion turns back."""
+        widest = _WIDEST_ANGLE_RAD if self.model is LensModel.FISHEYE else _WIDEST_TANGENT
+        off_axis = np.linspace(0.0, widest, _STEPS)
+        back = np.nonzero(np.diff(self._radial(off_axis)) <= 0.0)[0]
+        return float(off_axis[back[0]]) if len(back) else widest
+
+    def _radial(self, off_axis: FloatArray) -> FloatArray:
+        """Distance of the distorted image point from the axis, without the decentring."""
+        k = np.zeros(MOST_DISTORTION)
+        k[: self.size - INTRINSICS] = self.parameters[INTRINSICS:]
+        q = off_axis * off_axis
+        if self.model is LensModel.FISHEYE:
+            return np.asarray(off_axis * (1.0 + q * (k[0] + q * (k[1] + q * (k[2] + q * k[3])))))
+        above = 1.0 + q * (k[0] + q * (k[1] + q * k[4]))
+        below = 1.0 + q * (k[5] + q * (k[6] + q * k[7]))
+        return np.asarray(off_axis * above / np.where(below > 0.0, below, np.inf))
+
+    def rays(self, pixels: FloatArray) -> FloatArray:
+        """Undo the lens: pixels (n, 2) to directions (n, 3) of unit length, by Newton's method.
+
+        Pixels that nothing can be seen at give the direction where the lens ends.
+        """
+        angle, around = self._start_of_rays(pixels)
+        flat = abs(self.parameters[0] * self.parameters[1])
+        directions = _directions(angle, around)
+        for _ in range(30):
+            px, by_point, _ = self.project_jacobians(directions)
+            across, over = _tangents(directions)
+            by_turn = by_point @ np.stack([across, over], axis=2)
+            sound = np.abs(np.linalg.det(by_turn)) > 1e-9 * flat
+            step = np.zeros((len(pixels), 2))
+            miss = (pixels - px)[sound, :, None]
+            step[sound] = np.linalg.solve(by_turn[sound], miss)[:, :, 0]
+            np.clip(step, -0.2, 0.2, out=step)
+            directions = directions + step[:, :1] * across + step[:, 1:] * over
+            directions /= np.linalg.norm(directions, axis=1, keepdims=True)
             if len(step) == 0 or float(np.abs(step).max()) < 1e-13:
                 break
-        return xy
+        return directions
+
+    def _start_of_rays(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Angles (n,) from the axis and around it, by the radial distortion's table."""
+        alpha, beta, gamma, mu, nu = self.parameters[:INTRINSICS]
+        y = (pixels[:, 1] - nu) / beta
+        x = (pixels[:, 0] - mu - gamma * y) / alpha
+        off_axis = np.linspace(0.0, self._limit(), _STEPS)
+        found = np.interp(np.hypot(x, y), self._radial(off_axis), off_axis)
+        angle = found if self.model is LensModel.FISHEYE else np.arctan(found)
+        return np.asarray(angle), np.arctan2(y, x)
 
 
-def _distortion_terms(xy: FloatArray) -> FloatArray:
-    """d(distorted)/d(k1, k2, p1, p2, k3), (n, 2, 5)."""
-    x, y = xy[:, 0], xy[:, 1]
-    r2 = x * x + y * y
-    terms = np.empty((len(xy), 2, 5))
-    terms[:, 0] = np.stack([x * r2, x * r2**2, 2 * x * y, r2 + 2 * x * x, x * r2**3], 1)
-    terms[:, 1] = np.stack([y * r2, y * r2**2, r2 + 2 * y * y, 2 * x * y, y * r2**3], 1)
-    return terms
+def _directions(angle: FloatArray, around: FloatArray) -> FloatArray:
+    sine = np.sin(angle)
+    return np.stack([sine * np.cos(around), sine * np.sin(around), np.cos(angle)], axis=1)
+
+
+def _tangents(directions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Two unit vectors (n, 3) across each direction and across one another."""
+    aside = np.where(np.abs(directions[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    across = np.cross(directions, aside)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return across, np.cross(directions, across)

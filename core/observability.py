@@ -85,13 +85,7 @@ def motion_sigma_mm(setup: Setup, motion: Pose) -> float:
     Model and reference are propagated; the lens and the board act on each frame's pose and are
     part of a measurement's own sigma.
     """
-    return _sigma_mm(setup, motion, _model_covariance(setup))
-
-
-def _model_covariance(setup: Setup) -> FloatArray:
-    """Of the model's parameters and the reference pose."""
-    start = 23
-    return setup.covariance[start:, start:]
+    return _sigma_mm(setup, motion, setup.model_covariance)
 
 
 def _sigma_mm(setup: Setup, motion: Pose, covariance: FloatArray) -> float:
@@ -140,7 +134,7 @@ def further_motion(setup: Setup, limits: QualityLimits) -> str | None:
     """
     amounts = [limits.expected_drift_mrad * 1e-3] * 3 + [limits.expected_drift_mm] * 3
     drifts = [_along(axis, amount) for axis, amount in enumerate(amounts)]
-    covariance = _model_covariance(setup)
+    covariance = setup.model_covariance
     now = [_sigma_mm(setup, drift, covariance) for drift in drifts]
     turn = 2.0 * setup.levels.max_rotation_rad
     best, words = max(now), ""
@@ -180,8 +174,7 @@ def _with_positions(setup: Setup, covariance: FloatArray, motions: Sequence[Pose
 
 def determined_share(setup: Setup, prior_sigma: FloatArray) -> FloatArray:
     """(8,) how far the views, not the priors, determine each rig parameter: 1 - (post/prior)^2."""
-    start = 23
-    posterior = np.diag(setup.covariance)[start : start + len(prior_sigma)]
+    posterior = np.diag(setup.model_covariance)[: len(prior_sigma)]
     return np.asarray(np.clip(1.0 - posterior / prior_sigma**2, 0.0, 1.0))
 
 

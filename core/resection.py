@@ -76,20 +76,31 @@ def robust_scale(norm: FloatArray) -> float:
 
 def start_pose(lens: Lens, points_mm: FloatArray, points_px: FloatArray) -> Pose:
     """Pose from a plane's homography, without a guess. Raises TargetNotFoundError."""
-    rays = lens.normalise(points_px)
+    rays = lens.rays(points_px)
+    ahead = _turn_to_axis(rays.mean(axis=0))  # a fisheye sees boards beside it, too
+    turned = rays @ ahead.T
     ok, rotation, translation = cv2.solvePnP(
-        points_mm, rays, np.eye(3), None, flags=cv2.SOLVEPNP_ITERATIVE
+        points_mm, turned[:, :2] / turned[:, 2:], np.eye(3), None, flags=cv2.SOLVEPNP_ITERATIVE
     )
     if not ok or translation[2, 0] <= 0:
         msg = "sub target: no pose fits the corners found"
         raise TargetNotFoundError(msg)
-    return Pose.from_vectors(
+    found = Pose.from_vectors(
         np.asarray(rotation[:, 0], dtype=float), np.asarray(translation[:, 0], dtype=float)
     )
+    return Pose(ahead.T, np.zeros(3)).compose(found)
+
+
+def _turn_to_axis(direction: FloatArray) -> FloatArray:
+    """(3, 3) the rotation that takes a direction to the z axis by the shortest way."""
+    z = direction / np.linalg.norm(direction)
+    axis = np.array([z[1], -z[0], 0.0])
+    cross = skew_matrix(axis)
+    return np.asarray(np.eye(3) + cross + cross @ cross / (1.0 + z[2]))
 
 
 def pose_jacobian(lens: Lens, pose: Pose, points_mm: FloatArray) -> tuple[FloatArray, ...]:
-    """Projection (n, 2) and its derivatives by pose (n, 2, 6), point (n, 2, 3), lens (n, 2, 10)."""
+    """Projection (n, 2), its derivatives by pose (n, 2, 6), point (n, 2, 3), lens (n, 2, size)."""
     rotated = points_mm @ pose.R.T
     projected, by_camera_point, by_lens = lens.project_jacobians(rotated + pose.t_mm)
     by_pose = np.empty((len(points_mm), 2, 6))

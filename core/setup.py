@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from core.adjustment import shape_terms
+from core.adjustment import SHAPE_PARAMETERS, shape_terms
 from core.board import Board
-from core.lens import Lens
+from core.lens import Lens, LensModel
 from core.paper import PaperModel
 from core.pose import Pose
 from core.rig import Rig
@@ -47,8 +47,14 @@ class Setup:
     """(2, 2) B~ of Eq. 8, px/mm."""
     model: Rig | PaperModel
     covariance: FloatArray
-    """Of lens (10), board shape (13), model (8 or 9), reference pose (6)."""
+    """Of lens (its size), board shape (13), model (8 or 9), reference pose (6)."""
     levels: Levels
+
+    @property
+    def model_covariance(self) -> FloatArray:
+        """Of model (8 or 9) and reference pose (6)."""
+        start = self.lens.size + SHAPE_PARAMETERS
+        return self.covariance[start:, start:]
 
     @property
     def shape_terms(self) -> FloatArray:
@@ -65,7 +71,7 @@ class Setup:
                 self.board.square_mm,
             ],
             "corners_mm": self.corners_mm.tolist(),
-            "lens": self.lens.parameters.tolist(),
+            "lens": {"model": self.lens.model, "parameters": self.lens.parameters.tolist()},
             "reference_pose": _pose_to_dict(self.reference_pose),
             "reference_discs_px": discs,
             "B": self.B.tolist(),
@@ -82,7 +88,7 @@ class Setup:
         return cls(
             Board.nominal(CheckerboardTarget(int(squares_x), int(squares_y), square_mm, 0.0)),
             np.array(data["corners_mm"]),
-            Lens(np.array(data["lens"])),
+            _lens_from_dict(data["lens"]),
             _pose_from_dict(data["reference_pose"]),
             np.array(discs, dtype=float),
             np.array(data["B"]),
@@ -90,6 +96,12 @@ class Setup:
             np.array(data["covariance"]),
             Levels(**data["levels"]),
         )
+
+
+def _lens_from_dict(data: dict[str, Any] | list[float]) -> Lens:
+    if isinstance(data, list):  # format 1 knew one model only
+        return Lens(np.array(data), LensModel.BROWN)
+    return Lens(np.array(data["parameters"]), LensModel(data["model"]))
 
 
 def _pose_to_dict(pose: Pose) -> dict[str, Any]:
