@@ -12,6 +12,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from itertools import groupby
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from typing import Literal, cast, get_args
@@ -43,6 +44,8 @@ TABLE = "frames.csv"
 COLUMNS = ("slot_utc", "role", "main", "sub", "pan_deg", "tilt_deg")
 HEADER = ",".join(COLUMNS)
 """First line of a plain `frames.csv`, without its line end."""
+BURST = "burst"
+"""Optional column that numbers the pairs of one slot from 1; empty is 1."""
 
 _NO_EXTRA: Mapping[str, str] = MappingProxyType({})
 
@@ -62,6 +65,11 @@ class FrameSetRow:
     extra: Mapping[str, str] = field(default_factory=lambda: _NO_EXTRA)
     """Columns beyond the standard ones, as text, in the table's order."""
 
+    @property
+    def burst(self) -> int:
+        """The number of this pair within its slot."""
+        return int(self.extra.get(BURST) or 1)
+
 
 @dataclass(frozen=True, slots=True)
 class FrameSet:
@@ -73,6 +81,11 @@ class FrameSet:
     def rows_of(self, *roles: FrameRole) -> tuple[FrameSetRow, ...]:
         """Give the rows of these roles, in time order."""
         return tuple(row for row in self.rows if row.role in roles)
+
+    def slots_of(self, *roles: FrameRole) -> tuple[tuple[FrameSetRow, ...], ...]:
+        """Give the rows of these roles, those of one slot together, in time order."""
+        groups = groupby(self.rows_of(*roles), key=lambda row: row.slot_utc)
+        return tuple(tuple(rows) for _, rows in groups)
 
     def read(self, name: str) -> GreyImage:
         """Read one image by its name in the table. Raises FrameSetError."""
@@ -140,6 +153,9 @@ def _columns(path: Path, header: list[str] | None) -> list[str]:
             fault = "missing" if name not in columns else "given twice"
             msg = f"{path}:1: column {name!r} is {fault}; the columns are {HEADER}"
             raise FrameSetError(msg)
+    if columns.count(BURST) > 1:
+        msg = f"{path}:1: column {BURST!r} is given twice; keep one"
+        raise FrameSetError(msg)
     return columns
 
 
@@ -153,6 +169,10 @@ def _row(cell: dict[str, str]) -> FrameSetRow:
     if sub is None and role != "measure":
         msg = f"column 'sub' is empty; a row of role {role} needs a sub-camera image"
         raise ValueError(msg)
+    number = cell.get(BURST, "")
+    if number and not (number.isdecimal() and int(number) >= 1):
+        msg = f"bad number {number!r} in column {BURST!r}; number the pairs of a slot from 1"
+        raise ValueError(msg)
     return FrameSetRow(
         slot_utc=parse_slot(cell["slot_utc"]),
         role=cast("FrameRole", role),
@@ -165,19 +185,31 @@ def _row(cell: dict[str, str]) -> FrameSetRow:
 
 
 def _checked(path: Path, rows: Iterable[tuple[int, FrameSetRow]]) -> Iterator[FrameSetRow]:
-    """Pass rows on while slots are unique and in order and there is one reference at most."""
+    """Pass rows on while slots are unique and in order and there is one reference at most.
+
+    Rows of one slot are one burst: their numbers rise, and they have one role.
+    """
     line_of: dict[datetime, int] = {}
-    last: datetime | None = None
+    last: FrameSetRow | None = None
     reference: int | None = None
     for line, row in rows:
         slot = format_slot(row.slot_utc)
-        if row.slot_utc in line_of:
+        follows = last is not None and last.slot_utc == row.slot_utc and row.burst > last.burst
+        if row.slot_utc in line_of and not follows:
             msg = f"{path}:{line}: slot {slot} is already on line {line_of[row.slot_utc]}; drop one"
+            if BURST in row.extra:
+                msg += f", or number the pairs of the slot in column {BURST!r}, rising from 1"
             raise FrameSetError(msg)
-        if last is not None and row.slot_utc < last:
+        if last is not None and row.slot_utc < last.slot_utc:
             msg = f"{path}:{line}: slot {slot} is before the row above; put rows in time order"
             raise FrameSetError(msg)
-        if row.role == "reference":
+        if last is not None and follows and row.role != last.role:
+            msg = (
+                f"{path}:{line}: role {row.role}, but slot {slot} began as {last.role}; "
+                "give all pairs of a burst one role"
+            )
+            raise FrameSetError(msg)
+        if row.role == "reference" and not follows:
             if reference is not None:
                 msg = (
                     f"{path}:{line}: second reference, the first is on line {reference}; "
@@ -186,7 +218,7 @@ def _checked(path: Path, rows: Iterable[tuple[int, FrameSetRow]]) -> Iterator[Fr
                 raise FrameSetError(msg)
             reference = line
         line_of[row.slot_utc] = line
-        last = row.slot_utc
+        last = row
         yield row
 
 

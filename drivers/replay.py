@@ -13,28 +13,45 @@ from drivers.protocols import CapturedFrame, CapturedPair, Role
 
 
 class ReplaySource:
-    """Gives the `measure` rows of a frame set, one a slot, in order; a `FramePairSource`."""
+    """Gives the `measure` rows of a frame set, a slot's for each slot; a `FramePairSource`.
+
+    Asked again for the same slot, it gives the next pair of that row's burst.
+    """
 
     def __init__(self, directory: Path) -> None:
         """Read the table. Raises FrameSetError when it is damaged or has no `measure` rows."""
         self._set = read_frame_set(directory)
-        rows = self._set.rows_of("measure")
-        if not rows:
+        bursts = self._set.slots_of("measure")
+        if not bursts:
             msg = f"{directory}: no 'measure' rows to replay; give a set that has some"
             raise FrameSetError(msg)
-        self._rows: Iterator[tuple[int, FrameSetRow]] = enumerate(rows, start=1)
+        self._bursts: Iterator[tuple[FrameSetRow, ...]] = iter(bursts)
+        self._burst: Iterator[FrameSetRow] = iter(())
+        self._slot: datetime | None = None
+        self._number = 0
 
-    def capture(self, slot_utc: datetime) -> CapturedPair:  # noqa: ARG002 - the next row, whatever the slot
-        """Give the next row's pair. Raises DeviceError: an unusable image, or the set's end.
+    def capture(self, slot_utc: datetime) -> CapturedPair:
+        """Give the next pair. Raises DeviceError: an unusable image, or the end.
 
         A row that cannot be read is passed over by the next call.
         """
-        number, row = next(self._rows, (0, None))
+        if slot_utc != self._slot:
+            self._slot, self._burst = slot_utc, iter(self._next_burst())
+        row = next(self._burst, None)
         if row is None:
-            msg = f"{self._set.directory}: end of the set, all 'measure' rows are replayed"
+            msg = f"{self._set.directory}: no more pairs of this slot; set [schedule] burst lower"
             raise DeviceError(msg)
+        self._number += 1
+        number = self._number
         main, sub = self._frame("main", number, row), self._frame("sub", number, row)
         return CapturedPair(main, sub, skew_s=_number(row, "skew_s") or 0.0)
+
+    def _next_burst(self) -> tuple[FrameSetRow, ...]:
+        burst = next(self._bursts, None)
+        if burst is None:
+            msg = f"{self._set.directory}: end of the set, all 'measure' rows are replayed"
+            raise DeviceError(msg)
+        return burst
 
     def prepare(self) -> None:
         """Open nothing: the table has been read."""

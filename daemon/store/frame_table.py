@@ -13,6 +13,7 @@ from pathlib import Path
 from daemon.store.durable import append_durable, fsync_directory, write_durable
 from drivers.errors import FrameSetError
 from drivers.frameset import (
+    BURST,
     TABLE,
     FrameSetRow,
     format_header,
@@ -26,11 +27,13 @@ EXTRA_COLUMNS = (
     *("skew_s", "captured_utc"),
     *("exposure_main_us", "exposure_sub_us", "gain_main_db", "gain_sub_db"),
     *("temperature_main_c", "temperature_sub_c", "sha256_main", "sha256_sub"),
+    BURST,
 )
 """Beyond the standard columns; empty where not known."""
 
 _HEADER = format_header(EXTRA_COLUMNS).encode() + b"\n"
 _SLOT = re.compile(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
+_MAIN = re.compile(r"([01]\d|2[0-3])([0-5]\d)([0-5]\d)(?:_(\d\d))?_main\.png")
 _TAIL_BYTES = 4096
 """Many times the longest line."""
 
@@ -43,25 +46,29 @@ def enter(directory: Path, row: FrameSetRow) -> None:
         write_durable(path, _HEADER + line)
         return
     cut_torn_end(path)
-    last = _last_slot(path)
-    if last is not None and last < format_slot(row.slot_utc).encode():
+    last = _last_pair(path)
+    if last is not None and last < (format_slot(row.slot_utc).encode(), row.burst):
         append_durable(path, line)
     else:
         _rewrite(directory, [row])
 
 
-def find(directory: Path, slot_utc: datetime) -> dict[str, str] | None:
-    """The cells of a slot's line, None when it has none; other lines are not looked at."""
+def find(directory: Path, slot_utc: datetime, number: int = 1) -> dict[str, str] | None:
+    """The cells of a pair's line, None when it has none; other slots' lines are not looked at."""
     try:
         text = (directory / TABLE).read_bytes()
     except FileNotFoundError:
         return None
-    start = text.find(b"\n" + format_slot(slot_utc).encode() + b",") + 1
-    end = text.find(b"\n", start)
-    if start == 0 or end < 0:
-        return None
-    lines = text[: text.find(b"\n") + 1] + text[start:end]
-    return next(csv.DictReader(lines.decode("utf-8", "replace").splitlines()), None)
+    mark = b"\n" + format_slot(slot_utc).encode() + b","
+    lines = [text[: text.find(b"\n")]]
+    start = text.find(mark)
+    while start >= 0 and (end := text.find(b"\n", start + 1)) >= 0:
+        lines.append(text[start + 1 : end])
+        start = text.find(mark, end)
+    for cells in csv.DictReader(line.decode("utf-8", "replace") for line in lines):
+        if (cells.get(BURST) or "1") == str(number):
+            return cells
+    return None
 
 
 def mend(directory: Path) -> list[datetime]:
@@ -90,20 +97,22 @@ def cut_torn_end(path: Path) -> None:
             os.fsync(file.fileno())
 
 
-def pairs(directory: Path) -> Iterator[datetime]:
-    """The slots of which both images are in a day's directory, in order."""
+def pairs(directory: Path) -> Iterator[tuple[datetime, int]]:
+    """Slot and number of each pair of which both images are in a day's directory, in order."""
     year, month, day = (int(part) for part in directory.parts[-3:])
     names = {path.name for path in directory.iterdir()}
-    for name in sorted(names):
-        found = re.fullmatch(r"([01]\d|2[0-3])([0-5]\d)([0-5]\d)_main\.png", name)
-        if found and name.replace("_main", "_sub") in names:
-            hour, minute, second = (int(part) for part in found.groups())
-            yield datetime(year, month, day, hour, minute, second, tzinfo=UTC)
+    found = []
+    for name in names:
+        match = _MAIN.fullmatch(name)
+        if match and name.replace("_main", "_sub") in names:
+            hour, minute, second, number = (int(part or 1) for part in match.groups())
+            found.append((datetime(year, month, day, hour, minute, second, tzinfo=UTC), number))
+    yield from sorted(set(found))
 
 
-def image_names(slot_utc: datetime) -> tuple[str, str]:
-    """The file names of a slot's pair."""
-    stem = slot_utc.strftime("%H%M%S")
+def image_names(slot_utc: datetime, number: int = 1) -> tuple[str, str]:
+    """The file names of a pair: `HHMMSS_main.png`, for a burst's second `HHMMSS_02_main.png`."""
+    stem = slot_utc.strftime("%H%M%S") + (f"_{number:02d}" if number > 1 else "")
     return f"{stem}_main.png", f"{stem}_sub.png"
 
 
@@ -112,31 +121,31 @@ def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def _last_slot(path: Path) -> bytes | None:
-    """The slot of the last line as text; None when only a rewrite can go on from there."""
+def _last_pair(path: Path) -> tuple[bytes, int] | None:
+    """Slot as text and number of the last line; None when only a rewrite can go on from there."""
     with path.open("rb") as file:
         if file.readline() != _HEADER:
             return None
         file.seek(max(len(_HEADER), file.seek(0, os.SEEK_END) - _TAIL_BYTES))
         lines = file.read().splitlines()
     if not lines:
-        return b""
-    slot = lines[-1].partition(b",")[0]
-    return slot if _SLOT.fullmatch(slot) else None
+        return b"", 0
+    slot, number = lines[-1].partition(b",")[0], lines[-1].rpartition(b",")[2]
+    return (slot, int(number or 1)) if _SLOT.fullmatch(slot) and number.isdigit() else None
 
 
 def _rewrite(directory: Path, new: Sequence[FrameSetRow]) -> list[datetime]:
     """Add rows, and those of pairs without a line, at their places; give the latter's slots."""
-    rows = {row.slot_utc: row for row in _readable_rows(directory)}
-    rows |= {row.slot_utc: row for row in new}
-    unlisted = [slot for slot in pairs(directory) if slot not in rows]
-    rows |= {slot: _row_of_images(directory, slot) for slot in unlisted}
+    rows = {(row.slot_utc, row.burst): row for row in _readable_rows(directory)}
+    rows |= {(row.slot_utc, row.burst): row for row in new}
+    unlisted = [pair for pair in pairs(directory) if pair not in rows]
+    rows |= {pair: _row_of_images(directory, *pair) for pair in unlisted}
     if new or unlisted:
         extra = dict.fromkeys(EXTRA_COLUMNS, "")
         for row in rows.values():
             extra |= dict.fromkeys(row.extra, "")
-        write_table(directory, [_with_columns(rows[slot], extra) for slot in sorted(rows)])
-    return unlisted
+        write_table(directory, [_with_columns(rows[pair], extra) for pair in sorted(rows)])
+    return list(dict.fromkeys(slot for slot, _ in unlisted))
 
 
 def _readable_rows(directory: Path) -> tuple[FrameSetRow, ...]:
@@ -154,9 +163,10 @@ def _readable_rows(directory: Path) -> tuple[FrameSetRow, ...]:
         return ()
 
 
-def _row_of_images(directory: Path, slot_utc: datetime) -> FrameSetRow:
-    main, sub = image_names(slot_utc)
+def _row_of_images(directory: Path, slot_utc: datetime, number: int) -> FrameSetRow:
+    main, sub = image_names(slot_utc, number)
     extra = {
+        BURST: str(number),
         "sha256_main": sha256((directory / main).read_bytes()),
         "sha256_sub": sha256((directory / sub).read_bytes()),
     }
@@ -171,5 +181,5 @@ def _with_columns(row: FrameSetRow, empty: dict[str, str]) -> FrameSetRow:
         row.sub,
         row.pan_deg,
         row.tilt_deg,
-        extra=empty | dict(row.extra),
+        extra=empty | dict(row.extra) | {BURST: str(row.burst)},
     )

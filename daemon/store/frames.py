@@ -1,8 +1,9 @@
 """The frame archive: every pair kept losslessly, on the disk before anyone hears of it.
 
 `frames/YYYY/MM/DD/` below the state directory is itself a frame set: `HHMMSS_main.png`,
-`HHMMSS_sub.png` and `frames.csv`. The order of writes is main, sub, line. A pair whose line a
-power cut took is still a pair; the line is written anew from the images at the next start.
+`HHMMSS_sub.png` and `frames.csv`; the second pair of a burst is `HHMMSS_02_main.png` and so on.
+The order of writes is main, sub, line, pair by pair. A pair whose line a power cut took is still a
+pair; the line is written anew from the images at the next start.
 """
 
 from __future__ import annotations
@@ -29,10 +30,12 @@ from daemon.store.frame_table import (
 from daemon.store.records import EPOCH, CameraState
 from daemon.store.schema import instant_text, slot_text
 from drivers.errors import FrameSetError
-from drivers.frameset import FrameSetRow, encode_png, read_image
+from drivers.frameset import BURST, FrameSetRow, encode_png, read_image
 from drivers.protocols import CapturedFrame, CapturedPair
 
 FOLDER = "frames"
+LARGEST_BURST = 99
+"""Pairs of a slot that file names can tell apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +68,17 @@ class FrameArchive:
         self.directory = state / FOLDER
 
     def store(
-        self, slot_utc: datetime, pair: CapturedPair, captured_utc: datetime | None = None
+        self,
+        slot_utc: datetime,
+        pair: CapturedPair,
+        captured_utc: datetime | None = None,
+        number: int = 1,
     ) -> StoredPair:
-        """Write a pair; it is on the disk, complete, when this returns.
+        """Write a pair, the `number`th of its slot; it is on the disk, complete, at the return.
 
-        Raises SlotTakenError when the slot has a pair, DiskFullError, ArchiveError.
+        Raises SlotTakenError when the slot has that pair, DiskFullError, ArchiveError.
         """
-        stored = self._place(slot_utc)
+        stored = self._place(slot_utc, number)
         main, sub = self.state / stored.main_path, self.state / stored.sub_path
         if main.exists() and sub.exists():
             msg = f"{main}: slot {slot_text(slot_utc)} has a pair already"
@@ -79,6 +86,7 @@ class FrameArchive:
         main_data = encode_png(pair.main.pixels, pair.main.bits)
         sub_data = encode_png(pair.sub.pixels, pair.sub.bits)
         known = _extra(pair, captured_utc, sha256(main_data), sha256(sub_data))
+        known[BURST] = str(number)
         with _translated(main.parent):
             make_directory_durable(main.parent)
             write_durable(main, main_data)
@@ -87,15 +95,15 @@ class FrameArchive:
             enter(main.parent, row)
         return stored
 
-    def load(self, slot_utc: datetime) -> ArchivedPair:
+    def load(self, slot_utc: datetime, number: int = 1) -> ArchivedPair:
         """Read a pair back, pixel for pixel.
 
         Raises FrameSetError when an image is missing, damaged, or not the one that was stored.
         """
-        stored = self._place(slot_utc)
+        stored = self._place(slot_utc, number)
         main, sub = self.state / stored.main_path, self.state / stored.sub_path
         try:
-            known = find(main.parent, slot_utc) or {}
+            known = find(main.parent, slot_utc, number) or {}
             main_image = _verified(main, known.get("sha256_main"))
             sub_image = _verified(sub, known.get("sha256_sub"))
         except OSError as error:
@@ -117,7 +125,23 @@ class FrameArchive:
         Raises ArchiveError.
         """
         with _translated(self.directory):
-            return [slot for day in self._days(since) for slot in pairs(day) if slot >= since]
+            found = (slot for day in self._days(since) for slot, _ in pairs(day))
+            return list(dict.fromkeys(slot for slot in found if slot >= since))
+
+    def numbers(self, slot_utc: datetime) -> list[int]:
+        """The numbers of a slot's pairs of which both images are there, in order.
+
+        Raises ArchiveError.
+        """
+        day = (self.state / self._place(slot_utc, 1).main_path).parent
+        stem = image_names(slot_utc.astimezone(UTC))[0].removesuffix("main.png")
+        with _translated(day):
+            names = {path.name for path in day.glob(f"{stem}*.png")}
+        return [
+            number
+            for number in range(1, LARGEST_BURST + 1)
+            if names.issuperset(image_names(slot_utc.astimezone(UTC), number))
+        ]
 
     def orphans(self, known_slots: Collection[datetime], since: datetime = EPOCH) -> list[datetime]:
         """Stored slots that are not among the known ones: pairs still to be measured, in order."""
@@ -135,8 +159,8 @@ class FrameArchive:
                 entered += mend(day)
         return entered
 
-    def _place(self, slot_utc: datetime) -> StoredPair:
-        main, sub = image_names(slot_utc.astimezone(UTC))
+    def _place(self, slot_utc: datetime, number: int) -> StoredPair:
+        main, sub = image_names(slot_utc.astimezone(UTC), number)
         folder = f"{FOLDER}/{slot_utc.astimezone(UTC):%Y/%m/%d}"
         return StoredPair(slot_utc, f"{folder}/{main}", f"{folder}/{sub}")
 

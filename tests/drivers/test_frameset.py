@@ -47,6 +47,48 @@ def _noise(dtype: type, shape: tuple[int, int] = (60, 80)) -> np.ndarray:
 # ---------------------------------------------------------------------------------- the table
 
 
+def _burst(*cells: tuple[int, str, str]) -> list[str]:
+    """Rows by minute, role and number."""
+    return [
+        f"2026-03-01T00:{minute:02d}:00Z,{role},{k}_main.png,{k}_sub.png,,,{number}"
+        for k, (minute, role, number) in enumerate(cells)
+    ]
+
+
+def test_pairs_of_a_slot_are_numbered(tmp_path: Path) -> None:
+    """The optional column `burst` lets one slot have several rows; without a number it is 1."""
+    rows = _burst((0, "reference", "1"), (0, "reference", "2"), (1, "measure", ""))
+    rows += _burst((2, "measure", "1"), (2, "measure", "3"))
+    frames = read_frame_set(_table(tmp_path, *rows, header=f"{HEADER},burst"))
+    assert [row.burst for row in frames.rows] == [1, 2, 1, 1, 3]
+    assert [len(rows) for rows in frames.slots_of("measure")] == [1, 2]
+    assert [len(rows) for rows in frames.slots_of("reference", "measure")] == [2, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("cells", "message"),
+    [
+        (
+            [(0, "measure", "1"), (0, "measure", "1")],
+            r"frames\.csv:3: .* already on line 2.*number",
+        ),
+        ([(0, "measure", "2"), (0, "measure", "1")], r"frames\.csv:3: .* already on line 2"),
+        ([(0, "measure", ""), (0, "measure", "")], r"frames\.csv:3: .* already on line 2"),
+        ([(0, "measure", "1"), (0, "rig", "2")], r"frames\.csv:3: role rig, but .* measure"),
+        ([(0, "measure", "first")], r"frames\.csv:2: bad number 'first' in column 'burst'"),
+        ([(0, "measure", "0")], r"frames\.csv:2: bad number '0' in column 'burst'"),
+        (
+            [(0, "reference", "1"), (0, "reference", "2"), (1, "reference", "1")],
+            r"frames\.csv:4: second reference, the first is on line 2",
+        ),
+    ],
+)
+def test_wrong_numbers_in_a_burst_are_named(tmp_path: Path, cells: list, message: str) -> None:
+    """With file, line and what to do."""
+    with pytest.raises(FrameSetError, match=message):
+        read_frame_set(_table(tmp_path, *_burst(*cells), header=f"{HEADER},burst"))
+
+
 def test_table_is_read(tmp_path: Path) -> None:
     """Roles, times in UTC, names and angles come as they stand in the table."""
     frames = read_frame_set(_table(tmp_path, *ROWS))

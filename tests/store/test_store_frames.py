@@ -60,6 +60,53 @@ def test_a_day_is_a_frame_set(archive: FrameArchive, tmp_path: Path) -> None:
         assert np.array_equal(frame_set.read(row.sub).pixels, pair(number).sub.pixels)
 
 
+def test_the_pairs_of_a_burst_stand_together(archive: FrameArchive, tmp_path: Path) -> None:
+    """One slot, three pairs, each with its own line and circumstances; then the next slot."""
+    for number in (1, 2, 3):
+        there = replace(pair(number), skew_s=1e-3 * number)
+        stored = archive.store(slot(0), there, START, number)
+    archive.store(slot(1), pair(7))
+    assert stored.main_path == f"{DAY}/000000_03_main.png"
+    assert archive.stored_slots() == [slot(0), slot(1)]
+    assert (archive.numbers(slot(0)), archive.numbers(slot(1))) == ([1, 2, 3], [1])
+    assert archive.numbers(slot(2)) == []
+    read = archive.load(slot(0), 2)
+    assert np.array_equal(read.sub.pixels, pair(2).sub.pixels)
+    assert read.skew_s == 2e-3
+    rows = read_frame_set(tmp_path / DAY).rows
+    assert [(row.slot_utc, row.burst) for row in rows] == [
+        *((slot(0), number) for number in (1, 2, 3)),
+        (slot(1), 1),
+    ]
+    with pytest.raises(SlotTakenError):
+        archive.store(slot(0), pair(9), START, 2)
+
+
+def test_a_burst_whose_lines_were_lost_is_mended(archive: FrameArchive, tmp_path: Path) -> None:
+    """From the names of the images; a pair whose sub image is missing is none."""
+    for number in (1, 2, 3):
+        archive.store(slot(0), pair(number), START, number)
+    (tmp_path / DAY / "000000_03_sub.png").unlink()
+    cut(tmp_path / DAY / "frames.csv", 330)
+    assert archive.mend() == [slot(0)]
+    assert [row.burst for row in read_frame_set(tmp_path / DAY).rows] == [1, 2]
+    assert archive.numbers(slot(0)) == [1, 2]
+    assert archive.orphans([]) == [slot(0)]
+
+
+def test_a_table_from_before_bursts_goes_on(archive: FrameArchive, tmp_path: Path) -> None:
+    """Tables without the column get it with their next line."""
+    archive.store(slot(0), pair(0), START)
+    table = tmp_path / DAY / "frames.csv"
+    table.write_text("\n".join(line.rpartition(",")[0] for line in table.read_text().splitlines()))
+    with table.open("a") as file:
+        file.write("\n")
+    assert archive.load(slot(0)).skew_s == -0.0012
+    archive.store(slot(1), pair(1), START)
+    assert [row.burst for row in read_frame_set(tmp_path / DAY).rows] == [1, 1]
+    assert archive.load(slot(0)).skew_s == -0.0012
+
+
 def test_days_are_those_of_utc(archive: FrameArchive, tmp_path: Path) -> None:
     local = datetime(2026, 3, 2, 0, 30, tzinfo=timezone(timedelta(hours=1)))
     stored = archive.store(local, pair())
