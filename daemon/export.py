@@ -23,6 +23,9 @@ RESULT_COLUMNS = (
 )
 """What `reprocess` writes; the interface that scripts rely on."""
 
+BURST_COLUMNS = ("spread_x_mm", "spread_y_mm", "frames_used")
+"""What `reprocess` appends where slots have several pairs."""
+
 EXTRA_COLUMNS = tuple(
     column.name
     for column in MeasurementRow.__table__.columns
@@ -31,13 +34,18 @@ EXTRA_COLUMNS = tuple(
 """What `export` adds, in the order of the database."""
 
 
-def write_results(results: Iterable[tuple[datetime, Measurement]], output: TextIO) -> int:
-    """Write slots and what was measured in them, line by line; give the number of rows."""
+def write_results(
+    results: Iterable[tuple[datetime, Measurement]], output: TextIO, *, bursts: bool = False
+) -> int:
+    """Write slots and what was measured in them, line by line; give the number of rows.
+
+    `bursts` appends the columns of slots with several pairs.
+    """
     records = (
         MeasurementRecord(slot_utc, measurement, config_hash="", version="")
         for slot_utc, measurement in results
     )
-    return _write(records, RESULT_COLUMNS, output)
+    return _write(records, RESULT_COLUMNS + (BURST_COLUMNS if bursts else ()), output)
 
 
 def write_records(records: Iterable[MeasurementRecord], output: TextIO) -> int:

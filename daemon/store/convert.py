@@ -41,6 +41,8 @@ def measurement_columns(record: MeasurementRecord) -> dict[str, Any]:
         **_displacement_columns(measurement.raw, "raw_"),
         **_motion_columns(measurement.motion),
         **{name: getattr(diagnostics, name) for name in _DIAGNOSTICS},
+        **_spread_columns(measurement.spread_mm),
+        "frames_used": measurement.frames_used,
         **_camera_columns(record.main_camera, "main_"),
         **_camera_columns(record.sub_camera, "sub_"),
         "skew_s": record.skew_s,
@@ -63,6 +65,8 @@ def measurement_record(row: MeasurementRow) -> MeasurementRecord:
         raw=_displacement(row, "raw_"),
         motion=_motion(row),
         diagnostics=Diagnostics(**{name: getattr(row, name) for name in _DIAGNOSTICS}),
+        spread_mm=_spread(row),
+        frames_used=row.frames_used,
     )
     return MeasurementRecord(
         slot_utc=row.slot_utc,
@@ -141,6 +145,18 @@ def _displacement(row: MeasurementRow, prefix: str) -> Displacement | None:
         return None
     covariance = np.array([[sigma_x**2, cov_xy], [cov_xy, sigma_y**2]])
     return Displacement(mm=np.array([x, y]), covariance_mm2=covariance)
+
+
+def _spread_columns(spread_mm: FloatArray | None) -> dict[str, float]:
+    if spread_mm is None:
+        return {}
+    return _finite({"spread_x_mm": float(spread_mm[0]), "spread_y_mm": float(spread_mm[1])})
+
+
+def _spread(row: MeasurementRow) -> FloatArray | None:
+    if row.spread_x_mm is None:
+        return None
+    return np.array([row.spread_x_mm, row.spread_y_mm], dtype=np.float64)
 
 
 def _motion_columns(motion: RigMotion | None) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any, ClassVar
 
-from sqlalchemy import CheckConstraint, Dialect, Float, ForeignKey, Text, TypeDecorator
+from sqlalchemy import CheckConstraint, Dialect, Float, ForeignKey, Text, TypeDecorator, text
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from daemon.store.records import GapCause
@@ -128,6 +128,12 @@ class MeasurementRow(Base):
     sub_contrast_dn: Mapped[float | None]
     main_blur_px: Mapped[float | None]
     sub_blur_px: Mapped[float | None]
+
+    spread_x_mm: Mapped[float | None]
+    """1 sigma of one pair of a burst about their mean; NULL with one pair."""
+    spread_y_mm: Mapped[float | None]
+    frames_used: Mapped[int] = mapped_column(server_default=text("0"))
+    """Pairs that the value rests on."""
 
     skew_s: Mapped[float | None]
     main_exposure_us: Mapped[float | None]

@@ -30,6 +30,8 @@ def full_measurement() -> Measurement:
         raw=Displacement(np.array([1.1, -1.2]), np.array([[0.16, -0.02], [-0.02, 0.25]])),
         motion=RigMotion(np.array([1e-3, -2e-3, 3e-3]), np.array([0.1, -0.2, 0.3]), half + half.T),
         diagnostics=Diagnostics(5, 870, 0.01, 0.02, 180.5, 190.5, 1.1, 1.2),
+        spread_mm=np.array([0.05, 0.06]),
+        frames_used=5,
     )
 
 

@@ -36,8 +36,8 @@ NEXT_REVISION = """
 import sqlalchemy as sa
 from alembic import op
 
-revision = "0002"
-down_revision = "0001"
+revision = "next"
+down_revision = "{head}"
 
 def upgrade():
     op.create_table("weather", sa.Column("id", sa.Integer(), primary_key=True))
@@ -55,7 +55,8 @@ def next_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, then: str = ""
     """Let the program be one version further on."""
     scripts = tmp_path / "next version"
     shutil.copytree(str(files("migrations")), scripts)
-    (scripts / "versions" / "0002_weather.py").write_text(NEXT_REVISION.format(then=then))
+    text = NEXT_REVISION.format(head=migrate.head_revision(), then=then)
+    (scripts / "versions" / "next_weather.py").write_text(text)
     original = migrate.alembic_config
 
     def config():
@@ -130,8 +131,9 @@ def test_migrations_make_what_the_program_expects(tmp_path: Path) -> None:
 def test_an_old_database_is_saved_and_then_migrated(
     state: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    head = migrate.head_revision()
     next_version(tmp_path, monkeypatch)
-    with pytest.raises(DatabaseOlderError, match=r"this one needs 0002\): start dcamd once"):
+    with pytest.raises(DatabaseOlderError, match=r"this one needs next\): start dcamd once"):
         open_store_readonly(state)
     with pytest.raises(DatabaseOlderError):
         open_store(state, migrate=False)
@@ -139,7 +141,7 @@ def test_an_old_database_is_saved_and_then_migrated(
         assert store.last_slot() == slot(0)
     assert "weather" in tables(state / "dcam.db")
 
-    saved = state / "dcam.db.revision-0001.20260301T123456Z"
+    saved = state / f"dcam.db.revision-{head}.20260301T123456Z"
     assert "weather" not in tables(saved)
     with closing(sqlite3.connect(saved)) as connection:
         assert connection.execute("SELECT count(*) FROM measurement").fetchone() == (1,)
@@ -147,6 +149,22 @@ def test_an_old_database_is_saved_and_then_migrated(
     with open_store(state, now_utc=NOW):
         pass
     assert len(list(state.glob("dcam.db.revision-*"))) == 1
+
+
+def test_rows_from_before_bursts_rest_on_one_pair(tmp_path: Path) -> None:
+    """A database of the first revision: values stay, and say that one pair was used."""
+    with open_store(tmp_path, now_utc=NOW) as store:
+        store.add_measurement(full_record(slot(0)))
+        store.add_measurement(record(slot(1)))
+    with closing(sqlite3.connect(tmp_path / "dcam.db")) as connection:
+        for column in ("spread_x_mm", "spread_y_mm", "frames_used"):
+            connection.execute(f"ALTER TABLE measurement DROP COLUMN {column}")
+        connection.execute("UPDATE alembic_version SET version_num = '0001'")
+        connection.commit()
+    with open_store(tmp_path, now_utc=NOW) as store:
+        first, second = (row.measurement for row in store.measurements())
+    assert first.corrected is not None
+    assert (first.spread_mm, first.frames_used, second.frames_used) == (None, 1, 0)
 
 
 def test_a_failing_migration_changes_nothing(
@@ -176,7 +194,7 @@ def test_a_database_of_a_newer_version_is_refused_and_left_alone(
             opener(state)
         message = str(caught.value)
         assert "\n" not in message
-        assert "dcam.db: written by a newer version (revision 0002, this one knows up" in message
+        assert "dcam.db: written by a newer version (revision next, this one knows up" in message
         assert "install that version again" in message
     assert (state / "dcam.db").read_bytes() == content
 
