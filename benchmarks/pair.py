@@ -1,8 +1,7 @@
-"""What one full-size frame pair costs on one core, beside decoding it and beside plain OpenCV."""
+"""What one full-size frame pair costs on one core, beside decoding it."""
 
 from __future__ import annotations
 
-import os
 import statistics
 import time
 from collections.abc import Sequence
@@ -15,9 +14,8 @@ import numpy as np
 
 from core.calibration import CalibrationView, ViewRole, calibrate
 from core.frames import GreyImage
-from core.lens import Lens
 from core.measurement import measure_pair
-from core.site import FloatArray, Site
+from core.site import FloatArray
 from daemon.config import load_config
 from drivers.png import encode_png
 from drivers.protocols import Image
@@ -39,8 +37,6 @@ class PairCost:
     measure_s: float
     decode_s: float
     """Both PNGs, by cv2.imdecode."""
-    opencv_s: float
-    """cornerSubPix and solvePnP on the corners in the image, started within 1 px of the truth."""
     corners: int
     width_px: int
     height_px: int
@@ -49,13 +45,11 @@ class PairCost:
 
 
 def measure_cost() -> PairCost:
-    """Calibrate on a simulated full-size site, then time its frame pairs, all on one core."""
-    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    cv2.setNumThreads(1)
+    """Calibrate on a simulated full-size site, then time its frame pairs."""
     site = load_config(CONFIG).site()
     world = World(site, SimSettings(start_utc=START_UTC))
     calibration, _ = calibrate(calibration_views(world), site)
-    measure_s, decode_s, opencv_s, errors, false = [], [], [], [], []
+    measure_s, decode_s, errors, false = [], [], [], []
     corners = 0
     for number in range(PAIRS + 1):
         now = START_UTC + timedelta(minutes=45 * number + 30)
@@ -71,14 +65,12 @@ def measure_cost() -> PairCost:
         truth = world.truth(now)
         measure_s.append(seconds)
         decode_s.append(decode_cost(main, sub))
-        opencv_s.append(opencv_cost(sub, world.board_corners_px(now), calibration.setup.lens, site))
         errors.append(result.corrected.mm - truth.displacement_mm)
         false.append(truth.false_mm)
         corners = result.diagnostics.corners_used
     return PairCost(
         statistics.median(measure_s),
         statistics.median(decode_s),
-        statistics.median(opencv_s),
         corners,
         site.main.width_px,
         site.main.height_px,
@@ -120,22 +112,6 @@ def decode_cost(main: Image, sub: Image) -> float:
     started_s = time.process_time()
     for data in files:
         cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    return time.process_time() - started_s
-
-
-def opencv_cost(sub: Image, crossings_px: FloatArray, lens: Lens, site: Site) -> float:
-    """CPU seconds of cornerSubPix and solvePnP on the inner corners well inside the image."""
-    inner = crossings_px[1:-1, 1:-1].reshape(-1, 2)
-    j, i = np.mgrid[: crossings_px.shape[0] - 2, : crossings_px.shape[1] - 2].reshape(2, -1)
-    board_mm = np.stack([i, j, 0 * i], axis=1) * site.sub_target.square_mm
-    margin = 15.0
-    size = np.array([site.sub.width_px, site.sub.height_px])
-    inside = ((inner > margin) & (inner < size - margin)).all(axis=1)
-    start = np.round(inner[inside]).astype(np.float32).reshape(-1, 1, 2)
-    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
-    started_s = time.process_time()
-    points = cv2.cornerSubPix(sub, start, (10, 10), (-1, -1), stop)
-    cv2.solvePnP(board_mm[inside], points.astype(float), lens.matrix, lens.parameters[5:])
     return time.process_time() - started_s
 
 

@@ -1,0 +1,376 @@
+"""How true the errors and their sigma are over many simulated sites: `python -m benchmarks.sites`.
+
+The rows of one site share the error of its calibration, so one site says little about sigma;
+many do. Without images ("numbers") the true corners and discs get noise of a known covariance,
+so that a site takes seconds; with `--render` every image is rendered and looked at.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from core.board import Board
+from core.calibration import CalibrationView, Method, ViewRole, calibrate
+from core.compensation import corrected_displacement
+from core.corners import LocatedBoard
+from core.discs import Discs
+from core.dual import Fit, Recipe, fit_views, setup_of, start_from_views
+from core.frames import GreyImage
+from core.measurement import measure_pair
+from core.resection import BoardView, resect
+from core.results import Flag
+from core.setup import Setup
+from core.site import (
+    CameraGeometry,
+    CheckerboardTarget,
+    CirclesTarget,
+    FloatArray,
+    QualityLimits,
+    RigPrior,
+    Site,
+)
+from core.views import LensView, PairView, Views
+from drivers.sim.frameset_writer import head_reach_deg
+from drivers.sim.geometry import held_board_pose
+from drivers.sim.head import SimulatedHead
+from drivers.sim.settings import AsBuilt, Motion, Print, Scenario, SimSettings
+from drivers.sim.world import World
+
+Kind = Literal["lab", "field"]
+START_UTC = datetime(2026, 3, 1, tzinfo=UTC)
+REST_UTC = START_UTC - timedelta(hours=3)
+RIG_VIEWS, ROWS = 21, 12
+LENS_VIEWS = {"lab": 12, "field": 10}
+REACH = 0.8
+"""Share of the way to where the main target would touch the edge of its image."""
+MARGIN_PX = 2.0
+NOISE_DN, CONTRAST_DN, BLUR_PX = 1.0, 175.0, 0.85
+"""As the simulated cameras have them: grey noise, white less black, blur with the pixel's."""
+_NO_IMAGE = GreyImage(np.zeros((1, 1), np.uint8))
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What kind of sites to make."""
+
+    kind: Kind
+    print_um: float = 4.0
+    """rms of each printed line's position."""
+    bow_um: float = 25.0
+    corner_um: float = 0.0
+    """rms of an error of each corner of its own; without images only."""
+    distance_mm: float | None = None
+    """None: 11 m in the laboratory, 22 m in the field."""
+    shrink: float = 1.0
+    """Fewer pixels in both images and on both targets, for a quick look."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One measured pair, the truth taken off."""
+
+    error_mm: FloatArray
+    """(2,)."""
+    covariance_mm2: FloatArray
+    """(2, 2)."""
+    good: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One site: its rows, and what its calibration expected of itself."""
+
+    seed: int
+    rows: tuple[Row, ...]
+    lost: int
+    """Rows without a value."""
+    passed: bool
+
+
+def make_site(case: Case, seed: int) -> tuple[Site, SimSettings]:
+    """A site as drawn, and how it was built: lens, board and distortion by the seed."""
+    rng = np.random.default_rng([seed, 77])
+    distance_mm = case.distance_mm or {"lab": 11000.0, "field": 22000.0}[case.kind]
+    scale, shrink = distance_mm / 11000.0, case.shrink
+    width_px, height_px, pitch_um = round(1920 / shrink), round(1200 / shrink), 5.86 * shrink
+    focal_mm = rng.uniform(5.0, 8.0)
+    square_mm = rng.uniform(1.5, 3.0) * shrink
+    view_mm = np.array([width_px, height_px]) * pitch_um * 1e-3 * 50.0 / focal_mm
+    across, down = np.round(view_mm * [rng.uniform(0.65, 1.0), rng.uniform(0.95, 1.1)] / square_mm)
+    centres_mm = np.array([[-15.0, 11.0], [15.0, 11.0], [0.0, 0.0], [-15.0, -11.0], [15.0, -11.0]])
+    site = Site(
+        CameraGeometry(width_px, height_px, pitch_um, 800.0),
+        CameraGeometry(width_px, height_px, pitch_um, focal_mm),
+        CirclesTarget(centres_mm * scale, np.full(5, 8.0 * scale), distance_mm, 20.0),
+        CheckerboardTarget(int(across), int(down), square_mm, 50.0),
+        RigPrior(np.array([0.0, 180.0, 0.0]), 1.0, np.array([0.0, 0.0, -80.0]), 3.0),
+        QualityLimits(),
+    )
+    bend = rng.uniform(-0.3, 1.8)
+    settings = SimSettings(
+        seed=seed,
+        start_utc=START_UTC,
+        scenarios=() if case.kind == "lab" else (Scenario("drift"), Scenario("bridge")),
+        motion=Motion(drift_mrad=1.6, drift_mm=2.4, bridge_daily_mm=10.0),
+        print=Print(line_error_um=case.print_um, scale_error=0.0008, bow_um=case.bow_um),
+        as_built=AsBuilt(sub_distortion=(-0.1 * bend, 0.03 * bend, 3e-4, -2e-4, -0.004 * bend)),
+    )
+    return site, settings
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """When a pair is taken, and where head and board are."""
+
+    role: ViewRole | None
+    """None: to be measured."""
+    utc: datetime
+    held: int | None = None
+    head_deg: tuple[float, float] = (0.0, 0.0)
+
+
+def shots(case: Case, site: Site, seed: int) -> Iterator[Shot]:
+    """Lens views, the reference, rig positions, rows: in the laboratory the head moves the rows."""
+    rng = np.random.default_rng([seed, 78])
+    reach_deg = np.minimum(REACH * np.array(head_reach_deg(site)), 4.0)
+
+    def anywhere() -> tuple[float, float]:
+        pan_deg, tilt_deg = rng.uniform(-reach_deg, reach_deg)
+        return float(pan_deg), float(tilt_deg)
+
+    minute = timedelta(minutes=1)
+    for number in range(LENS_VIEWS[case.kind]):
+        yield Shot(ViewRole.INTRINSICS, REST_UTC + number * minute, held=number)
+    yield Shot(ViewRole.REFERENCE, REST_UTC + 20 * minute)
+    for number in range(RIG_VIEWS):
+        yield Shot(ViewRole.RIG, REST_UTC + (21 + number) * minute, head_deg=anywhere())
+    for number in range(ROWS):
+        still = case.kind == "field"
+        yield Shot(
+            None,
+            START_UTC + (120 + 97 * number) * minute,
+            head_deg=(0.0, 0.0) if still else anywhere(),
+        )
+
+
+class SeenWorld:
+    """A world seen without images: true points with noise of a known covariance."""
+
+    def __init__(self, world: World, case: Case) -> None:
+        self.world, self.site = world, world.site
+        self._rng = np.random.default_rng([world.settings.seed, 79])
+        target = self.site.sub_target
+        crossings = world.geometry.board.corners_mm()[1:-1, 1:-1].reshape(-1, 3)
+        shape = (target.squares_x - 1) * (target.squares_y - 1), 2
+        crossings[:, :2] += case.corner_um * 1e-3 * self._rng.normal(size=shape)
+        self.corners_mm = crossings
+
+    def board(self, shot: Shot) -> LocatedBoard:
+        """The corners in the image."""
+        geometry, site = self.world.geometry, self.site
+        if shot.held is not None:
+            rng = np.random.default_rng([self.world.settings.seed, 4, shot.held])
+            pose = held_board_pose(site, geometry, rng)
+        else:
+            pose = self.world.truth(shot.utc).motion.compose(geometry.T_CS_WS)
+        true_px = geometry.sub.project(pose.apply(self.corners_mm))
+        size_px = np.array([site.sub.width_px, site.sub.height_px]) - 1.0 - MARGIN_PX
+        index = np.nonzero(((true_px > MARGIN_PX) & (true_px < size_px)).all(axis=1))[0]
+        square_px = site.sub.focal_px * site.sub_target.square_mm / pose.t_mm[2]
+        sigma_px = _edge_sigma_px(0.92 * square_px)
+        noisy = true_px[index] + sigma_px * self._rng.normal(size=(len(index), 2))
+        covariance = np.tile(sigma_px**2 * np.eye(2), (len(index), 1, 1))
+        view = BoardView(index, noisy, covariance)
+        return LocatedBoard(view, True, len(index), NOISE_DN, CONTRAST_DN, BLUR_PX)  # noqa: FBT003
+
+    def discs(self, shot: Shot) -> Discs:
+        """The discs' centres."""
+        true_px = self.world.disc_centres_px(shot.utc)
+        radius_px = 0.5 * self.site.main_target.diameters_mm.max() * self.site.nominal_px_per_mm
+        sigma_px, n = _edge_sigma_px(math.pi * radius_px), len(true_px)
+        noisy = true_px + sigma_px * self._rng.normal(size=true_px.shape)
+        covariance = np.tile(sigma_px**2 * np.eye(2), (n, 1, 1))
+        return Discs(np.ones(n, bool), noisy, covariance, np.ones(n), CONTRAST_DN, BLUR_PX)
+
+    def pair(self, name: str, shot: Shot) -> PairView:
+        """Both targets."""
+        return PairView(name, _NO_IMAGE, self.board(shot), self.discs(shot))
+
+
+def _edge_sigma_px(edge_px: float) -> float:
+    """Cramer-Rao bound across a blurred edge of this length, 1 sigma."""
+    information = CONTRAST_DN**2 * edge_px / (2.0 * math.sqrt(math.pi) * BLUR_PX)
+    return NOISE_DN / math.sqrt(information)
+
+
+def run_numbers(case: Case, seed: int) -> Outcome:
+    """One site without images."""
+    site, settings = make_site(case, seed)
+    world = World(site, settings, renders=False)
+    head, seen = SimulatedHead(world), SeenWorld(world, case)
+    lens: list[LensView] = []
+    pairs: dict[ViewRole | None, list[tuple[Shot, PairView]]] = {r: [] for r in (*ViewRole, None)}
+    for number, shot in enumerate(shots(case, site, seed)):
+        head.move_to(*shot.head_deg)
+        if shot.role is ViewRole.INTRINSICS:
+            lens.append(LensView(str(number), _NO_IMAGE, seen.board(shot)))
+        else:
+            pairs[shot.role].append((shot, seen.pair(str(number), shot)))
+    rig = tuple(view for _, view in pairs[ViewRole.RIG])
+    views = Views(pairs[ViewRole.REFERENCE][0][1], rig, tuple(lens))
+    setup, _ = calibrate_numbers(views, site)
+    rows = []
+    for shot, pair in pairs[None]:
+        board = resect(setup.lens, setup.corners_mm, pair.board.view)
+        found, _ = corrected_displacement(setup, pair.discs, board, pair.board.view)
+        head.move_to(*shot.head_deg)
+        truth = world.truth(shot.utc)
+        rows.append(Row(found.mm - truth.displacement_mm, found.covariance_mm2, good=True))
+    return Outcome(seed, tuple(rows), 0, passed=True)
+
+
+def calibrate_numbers(views: Views, site: Site) -> tuple[Setup, Fit]:
+    """Calibrate from located points."""
+    recipe = Recipe(site, Board.nominal(site.sub_target), Method.RIGID, skew=False)
+    start, _ = start_from_views(views, recipe)
+    fit = fit_views(views, start, recipe)
+    return setup_of(fit, recipe.board), fit
+
+
+def run_rendered(case: Case, seed: int) -> Outcome:
+    """One site, every image rendered."""
+    site, settings = make_site(case, seed)
+    world = World(site, settings)
+    head = SimulatedHead(world)
+    views, rows, lost = [], [], 0
+    calibration = None
+    passed = False
+    for number, shot in enumerate(shots(case, site, seed)):
+        world.hold_board(shot.held)
+        head.move_to(*shot.head_deg)
+        sub = GreyImage(world.render("sub", shot.utc))
+        main = None if shot.held is not None else GreyImage(world.render("main", shot.utc))
+        if shot.role is not None:
+            views.append(CalibrationView(str(number), shot.role, main, sub))
+            continue
+        if calibration is None:
+            calibration, report = calibrate(views, site)
+            passed = report.passed
+            views.clear()
+        found = measure_pair(main, sub, site, calibration)
+        if found.corrected is None:
+            lost += 1
+            continue
+        error_mm = found.corrected.mm - world.truth(shot.utc).displacement_mm
+        rows.append(Row(error_mm, found.corrected.covariance_mm2, good=found.flag is Flag.GOOD))
+    return Outcome(seed, tuple(rows), lost, passed)
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """Errors against their sigma, of one site or of many."""
+
+    rms_mm: float
+    max_mm: float
+    z_rms: float
+    within_1: float
+    """Share of x and y within their 1 sigma; 0.68 is right."""
+    within_2: float
+    """0.95 is right."""
+    within_1_apart: tuple[float, float]
+    """Of x and of y."""
+    whitened_rms: float
+    """rms of the components along the covariance's own axes."""
+    good: float
+    """Share of the rows flagged good."""
+
+
+def figures(rows: Sequence[Row], lost: int = 0) -> Figures:
+    """Judge rows."""
+    errors = np.array([row.error_mm for row in rows])
+    covariances = np.array([row.covariance_mm2 for row in rows])
+    z = errors / np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    white = np.linalg.solve(np.linalg.cholesky(covariances), errors[:, :, None])
+    inside = np.abs(z) < 1.0
+    return Figures(
+        float(np.sqrt((errors**2).sum(axis=1).mean())),
+        float(np.hypot(errors[:, 0], errors[:, 1]).max()),
+        float(np.sqrt((z**2).mean())),
+        float(inside.mean()),
+        float((np.abs(z) < 2.0).mean()),
+        (float(inside[:, 0].mean()), float(inside[:, 1].mean())),
+        float(np.sqrt((white**2).mean())),
+        sum(row.good for row in rows) / (len(rows) + lost),
+    )
+
+
+def line(name: str, f: Figures) -> str:
+    """One line of the table."""
+    x, y = f.within_1_apart
+    return (
+        f"{name:>12} {f.rms_mm:8.4f} {f.max_mm:8.4f} {f.z_rms:6.2f} {f.whitened_rms:6.2f} "
+        f"{f.within_1:6.2f} ({x:4.2f} {y:4.2f}) {f.within_2:6.2f} {f.good:6.2f}"
+    )
+
+
+HEADER = (
+    f"{'site':>12} {'rms mm':>8} {'max mm':>8} {'z rms':>6} {'axes':>6} "
+    f"{'in 1 s (x y)':>18} {'in 2 s':>6} {'good':>6}"
+)
+
+
+def main() -> None:
+    """Run sites and print a line for each and for all."""
+    options = parser().parse_args()
+    case = Case(
+        options.kind,
+        options.print_um,
+        options.bow_um,
+        options.corner_um,
+        None if options.distance_m is None else options.distance_m * 1000.0,
+        options.shrink,
+    )
+    run = partial(run_rendered if options.render else run_numbers, case)
+    seeds = range(options.seed, options.seed + options.sites)
+    print(HEADER, flush=True)
+    rows: list[Row] = []
+    lost, failed = 0, 0
+    with ProcessPoolExecutor(options.jobs) as pool:
+        for outcome in pool.map(run, seeds):
+            rows += outcome.rows
+            lost, failed = lost + outcome.lost, failed + (not outcome.passed)
+            if outcome.rows and not options.quiet:
+                print(line(str(outcome.seed), figures(outcome.rows, outcome.lost)), flush=True)
+    print(line("all", figures(rows, lost)))
+    if failed:
+        print(f"{failed} calibrations did not pass")
+
+
+def parser() -> argparse.ArgumentParser:
+    """Options."""
+    made = argparse.ArgumentParser(prog="python -m benchmarks.sites", description=__doc__)
+    made.add_argument("kind", choices=["lab", "field"])
+    made.add_argument("--sites", type=int, default=20)
+    made.add_argument("--seed", type=int, default=1, help="of the first site")
+    made.add_argument("--print-um", type=float, default=4.0, help="rms error of a printed line")
+    made.add_argument("--corner-um", type=float, default=0.0, help="rms error of a single corner")
+    made.add_argument("--bow-um", type=float, default=25.0)
+    made.add_argument("--distance-m", type=float)
+    made.add_argument("--shrink", type=float, default=1.0, help="fewer pixels")
+    made.add_argument("--render", action="store_true", help="render and look at every image")
+    made.add_argument("--jobs", type=int, default=1, help="processes")
+    made.add_argument("--quiet", action="store_true", help="the pooled line only")
+    return made
+
+
+if __name__ == "__main__":
+    main()
