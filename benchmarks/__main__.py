@@ -70,9 +70,9 @@ them), the true lens and the true board: this is about locating, not about calib
 length. *Relative to a reference*: the motion from one frame to the next against the true one. *Per
 frame*: the frame's own pose against the true one.
 
-**Bound of the pose** (Cramer-Rao, `benchmarks/bound.py`): Fisher information of all pixels of the sub
-image, each with its own variance (shot and read noise, rounding). Unknown are the six of the pose
-and, for the whole image, gain, offset and blur. The motion's bound is sqrt 2 of the frame's.
+**Bound of the pose** (Cramer-Rao, `benchmarks/bound.py`): Fisher information of all pixels of the
+sub image, each with its own variance (shot and read noise, rounding). Unknown are the six of the
+pose and, for the whole image, gain, offset and blur. The motion's bound is sqrt 2 of the frame's.
 **Bound of the discs**: of the mean of their centres. A disc's size, light and blur are even about
 its centre, so that not knowing them costs nothing.
 
