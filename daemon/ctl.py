@@ -25,6 +25,7 @@ COMMANDS = {
     "gaps": "List slots without a measurement, and why.",
     "export": "Write measurements as a table.",
     "reprocess": "Measure kept frames or a frame set again.",
+    "simulate": "A simulated pan-tilt head on a serial port.",
     "demo": "The whole system on a simulated rig, against the known truth.",
 }
 """Name and one line of each command, in the order of `--help`; code in `daemon.commands.<name>`."""

@@ -34,7 +34,15 @@ class SettingRefusedError(DeviceError):
 
 
 class HeadError(DriverError):
-    """The pan-tilt head did not do as told; it has been halted."""
+    """The pan-tilt head did not do as told; it has been halted, or the message says it was not."""
+
+
+class HeadLimitError(HeadError):
+    """An angle beyond a limit was asked for; nothing has moved."""
+
+
+class HeadLostError(HeadError):
+    """The line to the head is gone; the next call opens it anew."""
 
 
 class FrameSetError(DriverError):

@@ -121,23 +121,71 @@ class FramePairSource(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class HeadSettings:
+    """What the config asks of a pan-tilt head."""
+
+    pan_limits_deg: tuple[float, float] = (-5.0, 5.0)
+    tilt_limits_deg: tuple[float, float] = (-5.0, 5.0)
+    """Lowest and highest angle that may be asked for; checked before a byte is sent."""
+    speed_deg_s: float | None = None
+    """None: the head's own speed."""
+    tolerance_deg: float = 0.05
+    """How far from the angle asked for the head may come to rest."""
+    answer_timeout_s: float = 1.0
+    """Deadline of one answer; a question is asked three times."""
+    move_timeout_s: float = 60.0
+    """Deadline of one move."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeadReport:
+    """What a head says of itself."""
+
+    name: str
+    """Its firmware as it names it, or the protocol."""
+    position_deg: tuple[float, float] | None
+    """Pan and tilt; None for a head without feedback."""
+    limits_deg: tuple[tuple[float, float], tuple[float, float]] | None
+    """The head's own limits of pan and of tilt, where it tells them."""
+    power: str | None
+    """Supply voltage and temperatures in the head's words, where it tells them."""
+
+
 class PanTiltHead(Protocol):
-    """A two-axis head; angles in degrees from its own zero."""
+    """A two-axis head; angles in degrees from its own zero.
+
+    Every call returns or raises a `drivers.errors.HeadError` within its deadline. The connection
+    is made when it is first needed and made anew when it was lost. A move that fails for whatever
+    reason, Ctrl-C too, ends with the head halted, or with an error that says it could not be.
+    """
+
+    @property
+    def reports_position(self) -> bool:
+        """Whether the head tells its angles; else only images show where the rig is."""
+        ...
 
     def move_to(self, pan_deg: float, tilt_deg: float) -> None:
-        """Move and wait until there. Raises `drivers.errors.HeadError` on limit or time-out."""
+        """Move and wait until there.
+
+        Raises `drivers.errors.HeadLimitError` before any motion, and HeadError.
+        """
         ...
 
     def position_deg(self) -> tuple[float, float] | None:
         """Pan and tilt as the head reports them; None for a head without feedback."""
         ...
 
+    def describe(self) -> HeadReport:
+        """Ask the head who and where it is, without moving it."""
+        ...
+
     def halt(self) -> None:
-        """Stop all motion at once."""
+        """Stop all motion at once; may be called from another thread than the one that moves."""
         ...
 
     def close(self) -> None:
-        """Halt and release the port."""
+        """Halt and release the port; safe to call more than once."""
         ...
 
 
