@@ -98,7 +98,7 @@ def open_pair_source(config: Config, clock: Clock) -> FramePairSource:
     if backend == "simulated":
         return open_simulated_rig(config, clock).source
     from drivers.aravis import AravisCamera
-    from drivers.aravis_setup import load_aravis
+    from drivers.aravis_device import load_aravis
 
     load_aravis()  # a library that is not installed is told at once, not at every slot
     main, sub = (

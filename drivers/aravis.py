@@ -8,9 +8,10 @@ from typing import TypeVar
 
 import structlog
 
-from drivers.aravis_session import Session
+from drivers.aravis_device import AravisDevice
 from drivers.deadline import DeadlineExceededError, DeadlineThread
 from drivers.errors import DeviceError, DeviceLostError
+from drivers.genicam_session import Session
 from drivers.protocols import CameraSettings, CapturedFrame, Role
 
 _T = TypeVar("_T")
@@ -59,7 +60,8 @@ class AravisCamera:
         if len(self._left_behind) > MAX_LEFT_BEHIND:
             msg = f"camera {self._serial}: calls into Aravis hang; restart the program"
             raise DeviceLostError(msg, self._role)
-        session = Session(self._serial, self._settings)
+        device = AravisDevice(self._serial, self._settings.open_timeout_s)
+        session = Session(device, self._serial, self._settings)
         thread = DeadlineThread(f"aravis-{self._serial}", session.release)
         self._opened = _Opened(session, thread)
         try:
@@ -115,6 +117,6 @@ class AravisCamera:
         opened, self._opened = self._opened, None
         if opened is None:
             return
-        opened.thread.end(0.0 if opened.session.lost.is_set() else wait_s)
+        opened.thread.end(0.0 if opened.session.is_lost else wait_s)
         if opened.thread.alive:
             self._left_behind.append(opened.thread)

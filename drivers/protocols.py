@@ -16,6 +16,25 @@ PixelFormat = Literal["Mono8", "Mono10", "Mono12", "Mono16"]
 
 
 @dataclass(frozen=True, slots=True)
+class TriggerIn:
+    """A frame is triggered by an edge on a line, not by software."""
+
+    line: str
+    """GenICam name, as `Line3`."""
+    activation: Literal["RisingEdge", "FallingEdge"] = "RisingEdge"
+
+
+@dataclass(frozen=True, slots=True)
+class LineOut:
+    """A line shows a signal of the camera to the outside."""
+
+    line: str
+    """GenICam name, as `Line2`."""
+    source: str = "ExposureActive"
+    """GenICam name of the signal: high while the sensor exposes."""
+
+
+@dataclass(frozen=True, slots=True)
 class CameraSettings:
     """What the config asks of one camera; the camera's own memory never overrides it."""
 
@@ -30,6 +49,10 @@ class CameraSettings:
     """GenICam name; more than 8 bits come unpacked, 16 bits a pixel."""
     packet_size_bytes: int | None = None
     """GigE Vision stream packet; None: the largest the network is found to carry."""
+    trigger: TriggerIn | None = None
+    """None: the software trigger."""
+    line_out: LineOut | None = None
+    """None: lines are left as they are."""
     open_timeout_s: float = 15.0
     """Deadline of `Camera.open`."""
     command_timeout_s: float = 4.0
@@ -49,7 +72,8 @@ class CapturedFrame:
     camera_time_ns: int
     """The camera's own clock; comparable within one camera only."""
     trigger_monotonic_s: float
-    """Host monotonic time at which the trigger command went out."""
+    """Host monotonic time at which the trigger command went out; where a line triggers, at which
+    the frame was expected."""
     exposure_us: float | None = None
     gain_db: float | None = None
     temperature_c: float | None = None
@@ -61,12 +85,13 @@ class CapturedPair:
 
     main: CapturedFrame
     sub: CapturedFrame
-    skew_s: float
-    """Sub trigger minus main trigger, host clock, s."""
+    skew_s: float | None
+    """Sub trigger minus main trigger, host clock, s; None when it was not measured, as where the
+    main camera's line triggers the sub-camera: the host sees neither edge."""
 
 
 class Camera(Protocol):
-    """A camera that takes one frame at a software trigger.
+    """A camera that takes one frame at a trigger.
 
     Every call returns or raises a `drivers.errors.DeviceError` within its deadline.
     After a `DeviceLostError` the object is closed and `open` starts anew.
@@ -86,7 +111,7 @@ class Camera(Protocol):
         ...
 
     def trigger(self) -> None:
-        """Send the software trigger."""
+        """Send the software trigger; where a line triggers, expect its frame from now on."""
         ...
 
     def fetch(self, timeout_s: float) -> CapturedFrame:

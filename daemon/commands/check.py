@@ -197,6 +197,10 @@ def _cameras(site: Installation) -> Iterator[Finding]:
         return
     yield Finding("main frame", "ok", frame_text(pair.main))
     yield Finding("sub frame", "ok", frame_text(pair.sub))
+    if pair.skew_s is None:
+        text = "not measured: the main camera's line triggers the sub-camera"
+        yield Finding("skew", "ok", text)
+        return
     skew_ms, limit_ms = 1e3 * abs(pair.skew_s), site.config.quality.max_skew_ms
     text = f"{skew_ms:.2f} ms apart, the limit is {limit_ms:g} ms"
     if skew_ms > limit_ms:

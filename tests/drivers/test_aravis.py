@@ -18,6 +18,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from drivers.aravis import AravisCamera
+from drivers.aravis_device import AravisFeatures
 from drivers.errors import (
     DeviceError,
     DeviceLostError,
@@ -113,7 +114,7 @@ def test_a_wrong_serial_is_answered_with_the_ones_there_are(process: CameraProce
 def test_a_camera_in_use_is_not_taken_over(
     camera: AravisCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drivers.aravis_session.CONTROL_WAIT_S", 0.0)
+    monkeypatch.setattr("drivers.aravis_device.CONTROL_WAIT_S", 0.0)
     with pytest.raises(DeviceLostError, match="in use by another program"):
         opened(MAIN)
     assert shoot(camera).pixels.shape == (HEIGHT_PX, WIDTH_PX)
@@ -150,7 +151,7 @@ def test_every_automatic_mode_is_off_and_what_was_asked_is_read_back(
     frame = shoot(camera)
     assert (frame.exposure_us, frame.gain_db) == (20_000.0, 6.0)
     assert frame.temperature_c == 41.5
-    device = camera._opened.session._device  # type: ignore[union-attr]
+    device = camera._opened.session._device._device  # type: ignore[union-attr]
     for name in ("ExposureAuto", "GainAuto", "AcquisitionFrameRateAuto"):
         assert device.get_string_feature_value(name) == "Off"
     for name in ("GammaEnabled", "ReverseX", "AcquisitionFrameRateEnabled"):
@@ -235,23 +236,28 @@ def test_a_camera_with_the_older_names_and_no_gamma_works(
 def test_a_camera_that_sends_frames_untriggered_is_refused(
     process: CameraProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drivers.aravis_setup._set_trigger", lambda _features: None)
+    monkeypatch.setattr("drivers.genicam_setup._set_trigger", lambda _writer, _trigger: None)
     with pytest.raises(SettingRefusedError, match="frames come without trigger"):
         opened(MAIN)
 
 
 def test_a_value_the_camera_rounds_is_logged(
-    camera: AravisCamera, monkeypatch: pytest.MonkeyPatch
+    process: CameraProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from drivers.aravis_setup import _Features
+    read = AravisFeatures.read
 
-    session = camera._opened.session  # type: ignore[union-attr]
-    features = _Features(session._device, session._glib_error, MAIN)
-    monkeypatch.setattr(features, "_write", lambda name, value: 0.5 * value)
+    def read_half(features: AravisFeatures, name: str) -> Any:
+        value = read(features, name)
+        return 0.5 * float(value) if name == "ExposureTime" else value
+
+    monkeypatch.setattr(AravisFeatures, "read", read_half)
     with capture_logs() as logs:
-        features.set_float("ExposureTime", 1000.0, "us", fallback=0.0)
-    assert [(log["event"], log["wanted"], log["actual"]) for log in logs] == [
-        ("camera_setting_differs", 1000.0, 500.0)
+        camera = opened(MAIN, exposure_us=1000.0)
+    assert shoot(camera).exposure_us == 500.0
+    camera.close()
+    differs = [log for log in logs if log["event"] == "camera_setting_differs"]
+    assert [(log["feature"], log["wanted"], log["actual"]) for log in differs] == [
+        ("ExposureTime", 1000.0, 500.0)
     ]
 
 
@@ -331,7 +337,7 @@ def test_a_camera_restarted_behind_our_back_is_noticed(
 
 
 def test_losing_control_sets_a_flag_and_the_next_call_says_so(camera: AravisCamera) -> None:
-    device = camera._opened.session._device  # type: ignore[union-attr]
+    device = camera._opened.session._device._device  # type: ignore[union-attr]
     device.emit("control-lost")
     with pytest.raises(DeviceLostError, match="control lost"):
         camera.arm()
@@ -343,7 +349,7 @@ def test_a_library_that_hangs_costs_the_deadline_and_leaves_a_bounded_number_of_
     process: CameraProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     let_go = threading.Event()
-    monkeypatch.setattr("drivers.aravis_session.load_aravis", lambda: let_go.wait(60.0))
+    monkeypatch.setattr("drivers.aravis_device.load_aravis", lambda: let_go.wait(60.0))
     camera = AravisCamera(MAIN, CameraSettings(WIDTH_PX, HEIGHT_PX, open_timeout_s=0.05))
     for _ in range(10):
         with pytest.raises(DeviceLostError):
@@ -388,7 +394,7 @@ def test_losses_leave_no_handle_and_no_thread(process: CameraProcess) -> None:
     handles = []
     for _ in range(8):
         camera.open()
-        camera._opened.session._device.emit("control-lost")  # type: ignore[union-attr]
+        camera._opened.session._device._device.emit("control-lost")  # type: ignore[union-attr]
         with pytest.raises(DeviceLostError):
             camera.arm()
         for thread in camera._left_behind:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.aravis_setup import load_aravis
+from drivers.aravis_device import load_aravis
 from drivers.errors import MissingLibraryError
 from drivers.protocols import Camera, CapturedFrame
 from tests.gige.loopback import NoLoopbackError, private_loopback
