@@ -12,6 +12,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from daemon.config_model import (
+    BURST_SHARE,
     DEFAULT_STATE_DIRECTORY,
     Config,
     SimulationSection,
@@ -77,6 +78,7 @@ def _contradictions(config: Config) -> list[str]:
             f"schedule.offset_s: must be less than period_s = {schedule.period_s}, "
             f"is {schedule.offset_s}"
         )
+    problems += _burst_problems(config)
     for number, scenario in enumerate(config.simulation.scenarios):
         if scenario.end_min is not None and scenario.end_min <= scenario.start_min:
             problems.append(
@@ -84,6 +86,31 @@ def _contradictions(config: Config) -> list[str]:
                 f"{scenario.start_min:g}, is {scenario.end_min:g}"
             )
     return problems
+
+
+def _burst_problems(config: Config) -> list[str]:
+    """Name what keeps the pairs of a burst from being taken, one after the other, in their slot."""
+    schedule, exposure = config.schedule, config.exposure
+    if schedule.burst == 1:
+        return []
+    exposure_s = max(exposure.main_us, exposure.sub_us) / 1e6
+    if schedule.burst_spacing_s <= exposure_s:
+        problem = (
+            f"schedule.burst_spacing_s: must be longer than the exposure of {exposure_s:g} s, "
+            f"is {schedule.burst_spacing_s:g}"
+        )
+        return [problem]
+    last_s = (schedule.burst - 1) * schedule.burst_spacing_s
+    needed_s = last_s + exposure_s + config.trigger.timeout_s
+    room_s = BURST_SHARE * schedule.period_s
+    if needed_s <= room_s:
+        return []
+    problem = (
+        f"schedule.burst: {schedule.burst} pairs {schedule.burst_spacing_s:g} s apart may take "
+        f"{needed_s:.3g} s with exposure and trigger.timeout_s, and have half of period_s = "
+        f"{schedule.period_s}; take fewer, or closer together"
+    )
+    return [problem]
 
 
 @dataclass(frozen=True, slots=True)

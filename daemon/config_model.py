@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PrivateAttr, Strict
 
 from core.site import Site
+from daemon.burst import BurstPlan
 from daemon.config_site import (
     CamerasSection,
     Directory,
@@ -39,6 +40,9 @@ from drivers.sim.settings import (
 
 DEFAULT_STATE_DIRECTORY = Path("/var/lib/dcam")
 
+BURST_SHARE = 0.5
+"""Of the period, for the pairs of a slot to be taken in; the rest is for measuring them."""
+
 
 class ScheduleSection(Section):
     """`[schedule]`: slots at offset_s + k * period_s of the wall clock, UTC."""
@@ -46,6 +50,8 @@ class ScheduleSection(Section):
     period_s: int = Field(default=60, ge=1, le=86_400)
     offset_s: int = Field(default=0, ge=0)
     max_late_s: float = Field(default=2.0, gt=0)
+    burst: int = Field(default=1, ge=1, le=32)
+    burst_spacing_s: float = Field(default=0.5, gt=0, le=60.0)
 
     def schedule(self) -> Schedule:
         """Convert to the daemon's type; later than half a period is nearer to the next slot."""
@@ -113,8 +119,10 @@ class SimulationSection(Section):
     bridge_daily_mm: float = Field(default=5.0, ge=0, le=1000.0)
     bridge_period_min: float = Field(default=1440.0, gt=0)
     bridge_small_mm: float = Field(default=0.3, ge=0, le=1000.0)
+    vibration_mrad: float = Field(default=0.05, ge=0, le=10.0)
     ramp_min: float = Field(default=10.0, ge=0)
     night_light: float = Field(default=0.005, ge=0, le=1.0)
+    haze_mm: float = Field(default=0.3, ge=0, le=100.0)
     as_built_scale: float = Field(default=1.0, ge=0, le=10.0)
     noise: bool = True
 
@@ -131,10 +139,11 @@ class SimulationSection(Section):
                 bridge_daily_mm=self.bridge_daily_mm,
                 bridge_period_min=self.bridge_period_min,
                 bridge_small_mm=self.bridge_small_mm,
+                vibration_mrad=self.vibration_mrad,
                 ramp_min=self.ramp_min,
             ),
             as_built=AsBuilt(scale=self.as_built_scale),
-            optics=Optics(night_light=self.night_light),
+            optics=Optics(night_light=self.night_light, haze_mm=self.haze_mm),
             sensor=Sensor(noise=self.noise),
         )
 
@@ -176,6 +185,12 @@ class Config(Section):
             sub_target=self.target.sub.target(),
             rig=self.rig.prior(),
             quality=self.quality.limits(),
+        )
+
+    def burst_plan(self) -> BurstPlan:
+        """Convert to the daemon's type; pairs end in time for the last one to be measured."""
+        return BurstPlan(
+            self.schedule.burst, self.schedule.burst_spacing_s, self.schedule.period_s * BURST_SHARE
         )
 
     def config_hash(self) -> str:

@@ -16,6 +16,7 @@ from core.results import Flag
 from daemon.config import Config
 from daemon.lock import LOCK_NAME
 from daemon.store.database import Store
+from daemon.store.frames import FrameArchive
 from daemon.store.records import (
     CalibrationRecord,
     Coverage,
@@ -40,7 +41,7 @@ class Disk:
     free_bytes: int
     total_bytes: int
     days_left: float | None
-    """At the size of the last pair kept, one pair a period; None as long as there is no pair."""
+    """At the size of the last slot's frames, one a period; None as long as there are none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,6 +195,8 @@ def _disk(state: Path, last: MeasurementRecord | None, period_s: int) -> Disk:
 
 
 def _sizes(state: Path, last: MeasurementRecord | None) -> Iterator[int]:
+    """The images of the last slot: a burst has several pairs."""
     for name in (last.main_frame, last.sub_frame) if last else ():
         if name is not None and (state / name).exists():
-            yield (state / name).stat().st_size
+            pairs = len(FrameArchive(state).numbers(last.slot_utc)) if last else 1
+            yield (state / name).stat().st_size * max(pairs, 1)

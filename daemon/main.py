@@ -85,7 +85,7 @@ def _run(
     accounted = store.accounted()
     clock = open_clock(config, accounted[1] if accounted else None)
     archive = FrameArchive(installation.state_directory)
-    line = Pipeline(config.site(), config.config_hash(), store, archive, clock)
+    line = Pipeline(config.site(), config.config_hash(), store, archive, clock, config.burst_plan())
     schedule = config.schedule.schedule()
     with ExitStack() as opened:
         source = opened.enter_context(closing(open_pair_source(config, clock)))

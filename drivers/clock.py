@@ -21,6 +21,10 @@ class SystemClock:
         """Give seconds that never step."""
         return time.monotonic()
 
+    def pause(self, seconds: float) -> None:
+        """Sleep."""
+        time.sleep(max(seconds, 0.0))
+
     def wait_until(self, when_utc: datetime, stop: threading.Event) -> bool:
         """Wait for a wall-clock time; False if `stop` was set before.
 
@@ -58,6 +62,10 @@ class SteppedClock:
         """Give the seconds waited and advanced since the start; never steps back."""
         with self._lock:
             return self._monotonic_s
+
+    def pause(self, seconds: float) -> None:
+        """Be so much later at once."""
+        self.advance(max(seconds, 0.0))
 
     def wait_until(self, when_utc: datetime, stop: threading.Event) -> bool:
         """Be at that time at once; False if `stop` is set. A time in the past changes nothing."""

@@ -225,6 +225,10 @@ class Clock(Protocol):
         """Seconds that never step."""
         ...
 
+    def pause(self, seconds: float) -> None:
+        """Let monotonic time pass, whatever becomes of the wall clock."""
+        ...
+
     def wait_until(self, when_utc: datetime, stop: threading.Event) -> bool:
         """Wait for a wall-clock time; False if `stop` was set before."""
         ...

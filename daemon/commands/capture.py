@@ -1,4 +1,4 @@
-"""`dcam-ctl capture`: one pair now, measured and printed."""
+"""`dcam-ctl capture`: the pair or burst of one slot now, measured and printed."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pathlib import Path
 
 import click
 
-from core.frames import GreyImage
 from core.results import Measurement
+from daemon.burst import take_burst
 from daemon.commands.options import Options, common_options, json_option, pass_options
 from daemon.commands.output import print_json, result_fields, say
 from daemon.devices import open_clock, open_pair_source
 from daemon.errors import ExitCode
 from daemon.lock import sole_writer
-from daemon.pipeline import ActiveCalibration, active_calibration, measure_images
+from daemon.measuring import ActiveCalibration, active_calibration, image_pair, measure
 from daemon.store.database import open_store_readonly
 from daemon.store.errors import DatabaseMissingError
 from daemon.wording import utc_text, value_text
@@ -27,9 +27,9 @@ from drivers.protocols import CapturedFrame, CapturedPair
 @common_options
 @pass_options
 def command(options: Options, as_json: bool) -> int:
-    """Take one pair now, measure it with the active calibration, and print what came out.
+    """Take one slot's pairs now, measure them with the active calibration, and print the result.
 
-    Nothing is recorded. The cameras must be free: stop dcamd first. Exit code 1 if the pair gave
+    `[schedule] burst` says how many they are. Nothing is recorded. The cameras must be free: stop dcamd first. Exit code 1 if the pair gave
     no value, 4 if it could not be taken.
     """
     config, state = options.config, options.state
@@ -38,12 +38,13 @@ def command(options: Options, as_json: bool) -> int:
         clock = open_clock(config, last_utc)
         with closing(open_pair_source(config, clock)) as source:
             slot_utc = clock.now_utc().replace(microsecond=0)
-            pair = source.capture(slot_utc)
-    main, sub = (GreyImage(frame.pixels, frame.bits) for frame in (pair.main, pair.sub))
-    measurement = measure_images(main, sub, config.site(), calibration, pair.skew_s)
+            shots = take_burst(source, clock, slot_utc, config.burst_plan())
+    measurement = measure((image_pair(shot.pair) for shot in shots), config.site(), calibration)
+    pair = shots[0].pair
     if as_json:
         row = result_fields(slot_utc, measurement)
-        print_json({"command": "capture", "measurement": row, **_pair_fields(pair)})
+        fields = {"measurement": row, "pairs": len(shots), **_pair_fields(pair)}
+        print_json({"command": "capture", **fields})
     else:
         say(f"{utc_text(slot_utc)}  {value_text(measurement)}")
         say_details(measurement, pair)
@@ -62,6 +63,9 @@ def _known(state: Path) -> tuple[ActiveCalibration | None, datetime | None]:
 
 def say_details(measurement: Measurement, pair: CapturedPair) -> None:
     """Print what lies behind a value: the main camera alone, the rig's motion, the two frames."""
+    if measurement.spread_mm is not None:
+        x_mm, y_mm = measurement.spread_mm
+        say(f"spread       x {x_mm:.3f} mm, y {y_mm:.3f} mm, of {measurement.frames_used} pairs")
     if measurement.raw is not None:
         x_mm, y_mm = measurement.raw.mm
         say(f"raw          x {x_mm:+.3f} mm, y {y_mm:+.3f} mm")
@@ -72,7 +76,8 @@ def say_details(measurement: Measurement, pair: CapturedPair) -> None:
         say(f"rig shift    x {tx:+.4f}, y {ty:+.4f}, z {tz:+.4f} mm")
     seen = measurement.diagnostics
     say(f"seen         {seen.discs_found} discs, {seen.corners_used} corners")
-    say(f"skew         {1e3 * pair.skew_s:+.2f} ms")
+    skew = "not measured" if pair.skew_s is None else f"{1e3 * pair.skew_s:+.2f} ms"
+    say(f"skew         {skew}")
     for name, frame in (("main", pair.main), ("sub", pair.sub)):
         say(f"{name:<12} {frame_text(frame)}")
 

@@ -18,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from core.results import Measurement
-from daemon.export import RESULT_COLUMNS
+from daemon.export import BURST_COLUMNS, RESULT_COLUMNS
 from daemon.store.convert import measurement_row
 from daemon.store.records import MeasurementRecord
 from daemon.wording import utc_text
@@ -61,7 +61,7 @@ def _plain(value: Any) -> Any:
 def result_fields(slot_utc: datetime, measurement: Measurement) -> dict[str, Any]:
     """A measurement for `--json`: the columns of `reprocess`, with the same names."""
     row = measurement_row(MeasurementRecord(slot_utc, measurement, config_hash="", version=""))
-    fields = {name: getattr(row, name) for name in RESULT_COLUMNS}
+    fields = {name: getattr(row, name) for name in RESULT_COLUMNS + BURST_COLUMNS}
     return {**fields, "reasons": [reason.value for reason in measurement.reasons]}
 
 

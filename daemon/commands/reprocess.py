@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -12,7 +12,7 @@ import click
 
 from core.calibration import Calibration
 from core.errors import CalibrationError
-from core.results import Flag, Measurement, Reason
+from core.results import Flag, Measurement
 from core.site import Site
 from daemon.commands.options import (
     Options,
@@ -26,12 +26,11 @@ from daemon.commands.output import note, print_json, progress, result_fields
 from daemon.config import Config
 from daemon.errors import UsageError, WorkFailedError
 from daemon.export import opened_output, write_results
-from daemon.pipeline import ActiveCalibration, measure_files, measure_images
+from daemon.measuring import ActiveCalibration, PairFiles, load_pairs, measure, read_pair
 from daemon.store.database import NEVER, open_store_readonly
 from daemon.store.errors import DatabaseMissingError
 from daemon.store.frames import FrameArchive
 from daemon.store.records import EPOCH, CalibrationRecord
-from drivers.errors import FrameSetError
 from drivers.frameset import FrameSet, FrameSetRow, read_frame_set
 
 Result = tuple[datetime, Measurement]
@@ -139,34 +138,38 @@ def read_calibration(record: CalibrationRecord) -> Calibration:
 
 
 def jobs_in_set(frames: FrameSet, site: Site, calibration: ActiveCalibration) -> Iterator[Job]:
-    """The `measure` rows of a frame set, in order."""
-    for row in frames.rows_of("measure"):
-        main, sub = (
-            frames.directory / name if name is not None else None for name in (row.main, row.sub)
-        )
-        yield row.slot_utc, partial(measure_files, main, sub, site, calibration, _skew_s(row))
+    """The slots of a frame set's `measure` rows, in order."""
+    for rows in frames.slots_of("measure"):
+        files = [_files(frames, row) for row in rows]
+        yield rows[0].slot_utc, partial(_measure_files, files, site, calibration)
 
 
 def jobs_kept(
     state: Path, site: Site, calibration: ActiveCalibration, since: datetime, until: datetime
 ) -> Iterator[Job]:
-    """The pairs of the archive with since <= slot < until, in order."""
+    """The slots of the archive with since <= slot < until, in order."""
     archive = FrameArchive(state)
     for slot_utc in archive.stored_slots(since):
         if slot_utc < until:
             yield slot_utc, partial(_measure_kept, archive, slot_utc, site, calibration)
 
 
+def _files(frames: FrameSet, row: FrameSetRow) -> PairFiles:
+    main, sub = (frames.directory / name if name else None for name in (row.main, row.sub))
+    return PairFiles(main, sub, _skew_s(row))
+
+
+def _measure_files(
+    files: Sequence[PairFiles], site: Site, calibration: ActiveCalibration
+) -> Measurement:
+    return measure((read_pair(pair, site) for pair in files), site, calibration)
+
+
 def _measure_kept(
     archive: FrameArchive, slot_utc: datetime, site: Site, calibration: ActiveCalibration
 ) -> Measurement:
-    try:
-        pair = archive.load(slot_utc)
-    except FrameSetError as error:
-        note(f"warning: {error}")
-        reasons = (Reason.MAIN_IMAGE_UNREADABLE, Reason.SUB_IMAGE_UNREADABLE)
-        return Measurement(Flag.BAD, reasons, None, None, None)
-    return measure_images(pair.main, pair.sub, site, calibration, pair.skew_s)
+    pairs, _ = load_pairs(archive, slot_utc)
+    return measure(pairs, site, calibration)
 
 
 def _skew_s(row: FrameSetRow) -> float | None:
@@ -183,7 +186,8 @@ def tell(
     """Write the table and a summary of the flags; with `--json` the rows on stdout."""
     if output is not None or not as_json:
         with opened_output(output) as table:
-            write_results(results, table)
+            bursts = any(measurement.spread_mm is not None for _, measurement in results)
+            write_results(results, table, bursts=bursts)
     if as_json:
         rows = [result_fields(slot_utc, measurement) for slot_utc, measurement in results]
         print_json(

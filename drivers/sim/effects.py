@@ -20,6 +20,7 @@ BLUR_PX = 0.6
 
 INSECT_GREY = 0.03
 SNOW_GREY = 0.8
+COBWEB_GREY = 0.6
 
 
 def draw_insect(
@@ -66,6 +67,44 @@ def draw_glare(image: Float32Array, rng: np.random.Generator) -> None:
     across = np.exp(-0.5 * ((np.arange(width) - middle[0]) / (0.12 * width)) ** 2)
     down = np.exp(-0.5 * ((np.arange(height) - middle[1]) / (0.12 * width)) ** 2)
     image += (0.9 * np.outer(down, across)).astype(np.float32)
+
+
+def draw_cobweb(image: Float32Array, rng: np.random.Generator) -> None:
+    """Hang a web of fine bright threads before the middle of the image."""
+    height, width = image.shape
+    mask = np.zeros(image.shape, np.uint8)
+    middle = np.array([width, height]) * rng.uniform(0.3, 0.7, 2)
+    spokes = np.sort(rng.uniform(0.0, math.tau, 14))
+    directions = np.stack([np.cos(spokes), np.sin(spokes)], axis=1)
+    for direction in directions:
+        far = middle + 0.45 * width * direction
+        cv2.line(mask, _point(middle), _point(far), 200, 1, cv2.LINE_AA, SHIFT)
+    for radius in np.linspace(0.04, 0.4, 10) * width:
+        ring = [_point(middle + radius * direction) for direction in directions]
+        cv2.polylines(
+            mask, [np.array(ring)], isClosed=True, color=200, lineType=cv2.LINE_AA, shift=SHIFT
+        )
+    _cover(image, mask, COBWEB_GREY)
+
+
+def draw_cover(image: Float32Array, rng: np.random.Generator) -> None:
+    """Let a sheet hang over one side of the image, up to the middle of it."""
+    height, width = image.shape
+    share, slant = rng.uniform(0.15, 0.5), rng.uniform(-0.1, 0.1)
+    edge = np.array([[0.0, 0.0], [share + slant, 0.0], [share - slant, 1.0], [0.0, 1.0]])
+    side = rng.integers(4)
+    corners = 1.0 - edge if side >= 2 else edge
+    corners = corners[:, ::-1] if side % 2 else corners
+    mask = np.zeros(image.shape, np.uint8)
+    sheet = np.array([_point(corner * (width, height)) for corner in corners])
+    cv2.fillPoly(mask, [sheet], 255, cv2.LINE_AA, SHIFT)
+    _cover(image, mask, rng.uniform(0.05, 0.7))
+
+
+def haze_mm(discs: int, sigma_mm: float, rng: np.random.Generator) -> FloatArray:
+    """How far hot air moves each disc's image (discs, 2), at the target: most of it together."""
+    together = rng.normal(0.0, sigma_mm, 2)
+    return np.asarray(together + rng.normal(0.0, sigma_mm / 3.0, (discs, 2)))
 
 
 def _cover(image: Float32Array, mask: np.ndarray, grey: float) -> None:

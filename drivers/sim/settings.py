@@ -4,13 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Literal
+from typing import Literal, get_args
 
 from drivers.protocols import Role
 
-ScenarioKind = Literal[
-    "drift", "bridge", "night", "insect_main", "insect_sub", "snow", "glare", "camera_loss"
+Disturbance = Literal[
+    "night",
+    "insect_main",
+    "insect_sub",
+    "snow",
+    "glare",
+    "cobweb",
+    "cover",
+    "haze",
+    "vibration",
+    "camera_loss",
 ]
+"""What makes images worse or takes them away."""
+ScenarioKind = Literal["drift", "bridge", Disturbance]
+DISTURBANCES: tuple[Disturbance, ...] = get_args(Disturbance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +34,7 @@ class Scenario:
     end_min: float | None = None
     """None: without end."""
     role: Role | None = None
-    """Which camera a night, snow, glare or camera loss strikes; None is both."""
+    """Which camera it strikes, if not an insect, haze or vibration; None is both."""
     repeat_min: float | None = None
     """Come again after so many minutes, e.g. 1440 for every night."""
 
@@ -52,6 +64,10 @@ class Motion:
     bridge_period_min: float = 1440.0
     bridge_small_mm: float = 0.3
     """Amplitude of the faster motion, periods of minutes."""
+    vibration_mrad: float = 0.05
+    """1 sigma of the rig's turn about each axis, another one at each instant of a `vibration`."""
+    vibration_apart: float = 0.1
+    """Share of it by which the main camera shakes apart from the sub-camera."""
     ramp_min: float = 10.0
     """How long motion takes to set in and to end at the edges of its windows."""
 
@@ -111,6 +127,9 @@ class Optics:
     """Amplitude of the slow change of the light."""
     night_light: float = 0.005
     """What is left of the light at night."""
+    haze_mm: float = 0.3
+    """1 sigma of how far `haze` moves the main target's image along each axis, at the target;
+    single discs move by a third of it against each other."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,11 +11,18 @@ import numpy as np
 from core.pose import Pose
 from core.site import FloatArray, Site
 from drivers.protocols import Image, Role
-from drivers.sim.effects import draw_glare, draw_insect, draw_snow
+from drivers.sim.effects import (
+    draw_cobweb,
+    draw_cover,
+    draw_glare,
+    draw_insect,
+    draw_snow,
+    haze_mm,
+)
 from drivers.sim.geometry import TrueGeometry, build_geometry, held_board_pose
 from drivers.sim.motion import TrueMotion
 from drivers.sim.render import CameraRenderer, Look
-from drivers.sim.settings import Scenario, ScenarioKind, SimSettings
+from drivers.sim.settings import DISTURBANCES, Scenario, ScenarioKind, SimSettings
 
 PLATE_MARGIN = 1.75
 """Black plate beyond the outermost disc centres, in disc diameters."""
@@ -83,6 +90,10 @@ class World:
         """Put the pan-tilt head at these true angles."""
         self._head_deg = (pan_deg, tilt_deg)
 
+    def head_deg(self) -> tuple[float, float]:
+        """Give the true angles of the pan-tilt head, now."""
+        return self._head_deg
+
     def hold_board(self, number: int | None) -> None:
         """Hold the board by hand before the sub-camera, in pose `number`; None: bonded again."""
         if number is None:
@@ -127,11 +138,7 @@ class World:
             displacement_mm=(now.bridge_mm - reference.bridge_mm)[:2],
             false_mm=false_mm,
             motion=now.T_CSj_CS0.compose(reference.T_CSj_CS0.inverse()),
-            cases=tuple(
-                kind
-                for kind in ("night", "insect_main", "insect_sub", "snow", "glare", "camera_loss")
-                if self.active(kind, t_utc)
-            ),
+            cases=tuple(kind for kind in DISTURBANCES if self.active(kind, t_utc)),
         )
 
     def active(self, kind: ScenarioKind, t_utc: datetime, role: Role | None = None) -> bool:
@@ -163,11 +170,14 @@ class World:
         number = self._held[0] + 1 if self._held else 0
         moment_us = round(t_utc.timestamp() * 1e6)
         rng = np.random.default_rng([self.settings.seed, 5, role == "sub", number, moment_us])
-        optics, state = self.settings.optics, self._state(t_utc)
+        optics, state = self.settings.optics, self._state(t_utc, role)
         renderer = self._renderers[role]
         if role == "main":
             greys = np.array([optics.main_white, optics.main_black, optics.main_grey])
-            image = renderer.discs(self._target_pose(state), self._discs, self._plate, greys)
+            discs = self._discs.copy()
+            if self.active("haze", t_utc):
+                discs[:, :2] += haze_mm(len(discs), optics.haze_mm, rng)
+            image = renderer.discs(self._target_pose(state), discs, self._plate, greys)
             if self.active("insect_main", t_utc):
                 at_px = self.disc_centres_px(t_utc)[rng.integers(len(self._discs))]
                 draw_insect(image, at_px + rng.normal(size=2), self._insect_px("main"), rng)
@@ -180,6 +190,10 @@ class World:
                 draw_insect(image, at_px, self._insect_px("sub"), rng)
         if self.active("snow", t_utc, role):
             draw_snow(image, rng)
+        if self.active("cobweb", t_utc, role):
+            draw_cobweb(image, rng)
+        if self.active("cover", t_utc, role):
+            draw_cover(image, rng)
         lit = renderer.lit(image, self._light(role, t_utc))
         if self.active("glare", t_utc, role):
             draw_glare(lit, rng)
@@ -190,10 +204,21 @@ class World:
     def _minute(self, t_utc: datetime) -> float:
         return (t_utc - self.settings.start_utc).total_seconds() / 60.0
 
-    def _state(self, t_utc: datetime) -> _State:
+    def _state(self, t_utc: datetime, role: Role = "sub") -> _State:
+        """Where everything is; the main camera may shake apart from the sub-camera."""
         minute = self._minute(t_utc)
         turned = self.geometry.head_pose(*self._head_deg).inverse()
-        return _State(turned.compose(self._motion.drift(minute)), self._motion.bridge_mm(minute))
+        moved = turned.compose(self._motion.drift(minute))
+        if self.active("vibration", t_utc):
+            moved = self._shake(t_utc, role).compose(moved)
+        return _State(moved, self._motion.bridge_mm(minute))
+
+    def _shake(self, t_utc: datetime, role: Role) -> Pose:
+        motion = self.settings.motion
+        rng = np.random.default_rng([self.settings.seed, 8, round(t_utc.timestamp() * 1e6)])
+        together, apart = rng.normal(0.0, motion.vibration_mrad * 1e-3, (2, 3))
+        share = motion.vibration_apart if role == "main" else 0.0
+        return Pose.from_vectors(together + share * apart, np.zeros(3))
 
     def _target_pose(self, state: _State) -> Pose:
         """`T_CMj_WM`: through the rig, because the main camera is bolted to the sub-camera."""
