@@ -23,6 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from daemon.config_model import DEFAULT_STATE_DIRECTORY
 from daemon.errors import HardwareError
+from daemon.lock import sole_writer
 from daemon.pause import Pause
 from daemon.version import VERSION
 
@@ -213,6 +214,20 @@ def paused_daemon(state: Path, reason: str) -> Iterator[bool]:
             msg = f"dcamd of {state} does not pause: {answer.error}; try again later"
             raise HardwareError(msg)
         yield True
+
+
+@contextmanager
+def cameras_to_oneself(state: Path, program: str) -> Iterator[None]:
+    """Keep everybody else from the cameras: a running dcamd pauses, else the lock is taken.
+
+    Raises AlreadyRunningError, HardwareError.
+    """
+    with paused_daemon(state, f"{program} (pid {os.getpid()})") as paused:
+        if paused:
+            yield
+            return
+        with sole_writer(state, program):
+            yield
 
 
 def _connect(directory: Path) -> socket.socket | None:

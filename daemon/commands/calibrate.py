@@ -2,31 +2,46 @@
 
 from __future__ import annotations
 
+import re
+import signal
 import sys
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import click
 
 from core.calibration import Method
-from daemon.calibration_run import CalibrationRun, calibrate_frames, store_run, views_in
-from daemon.calibration_session import Rig, take_views, view_count
+from daemon.calibration.positions import VIEWS, Limits
+from daemon.calibration.run import CalibrationRun, calibrate_frames, store_run, views_in
+from daemon.calibration.session import (
+    SIMULATED_LENS_VIEWS,
+    Rig,
+    Session,
+    take_again,
+    take_views,
+    unfinished,
+)
 from daemon.commands.options import Options, common_options, json_option, pass_options
 from daemon.commands.output import note, print_json, progress, say
 from daemon.config import Config
+from daemon.control import cameras_to_oneself
 from daemon.devices import open_clock, open_simulated_rig, require_backend
-from daemon.errors import ExitCode, HardwareError, UsageError
-from daemon.lock import sole_writer
-from daemon.store.database import open_store
+from daemon.errors import ExitCode, HardwareError, UsageError, WorkFailedError
+from daemon.store.database import Store, open_store
+from drivers.frameset import FrameSet, read_frame_set
 
-BEFORE_THE_STORY = timedelta(minutes=10)
+BEFORE_THE_STORY = timedelta(minutes=30)
 """A simulated rig is calibrated before anything happens to it: until then both targets rest."""
+MOST_TAKEN_AGAIN = 5
+"""More positions than that which do not fit are no outliers."""
 
 
 @click.command(
     "calibrate",
-    epilog="\b\nExample:\n  dcam-ctl calibrate --from /data/calibration-2026-03-01 --accept",
+    epilog="\b\nExample:\n  dcam-ctl calibrate --pan-tilt --lens-views /data/lens-2026-03-01\n"
+    "  dcam-ctl calibrate --from /data/calibration-2026-03-01 --accept",
 )
 @click.option(
     "--from",
@@ -40,6 +55,13 @@ BEFORE_THE_STORY = timedelta(minutes=10)
     is_flag=True,
     help="Move the head, take the views, keep them below the state directory, calibrate on them.",
 )
+@click.option(
+    "--lens-views",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="With --pan-tilt: a frame set whose lens views (role intrinsics) are used.",
+)
+@click.option("--fresh", is_flag=True, help="Begin anew, not where an interrupted run broke off.")
 @click.option(
     "--method",
     type=click.Choice([method.value for method in Method]),
@@ -56,6 +78,8 @@ def command(
     options: Options,
     directory: Path | None,
     pan_tilt: bool,
+    lens_views: Path | None,
+    fresh: bool,
     method: str,
     skew: bool,
     accept: bool,
@@ -66,76 +90,178 @@ def command(
     Views that are damaged or do not fit are left out and named. Motions that do not determine
     the model are refused, with the motion that is missing. Without --accept and without a
     terminal to ask on, the result becomes active only if it passed; exit code 1 if it did not.
+
+    With --pan-tilt every view is kept as soon as it is taken: an interrupted run goes on where
+    it broke off. A running dcamd pauses meanwhile, and its slots are a gap of that cause.
     """
     if (directory is not None) == pan_tilt:
         msg = "give either --from DIR or --pan-tilt"
         raise UsageError(msg)
+    if not pan_tilt and (lens_views is not None or fresh):
+        msg = "--lens-views and --fresh go with --pan-tilt"
+        raise UsageError(msg)
     config, state = options.config, options.state
-    taken_utc = datetime.now(UTC)
-    if directory is None:
-        directory, taken_utc = capture_views(config, state)
-    return calibrate_and_store(
-        config,
-        state,
-        directory,
-        Method(method),
-        taken_utc,
-        skew=skew,
-        accept=accept,
-        as_json=as_json,
-    )
+    with open_store(state) as store:  # first: what cannot be stored need not be taken
+        run, taken_utc = (
+            calibrate_on(config, directory, Method(method), skew=skew)
+            if directory is not None
+            else calibrate_with_head(
+                config, state, Method(method), skew=skew, lens_views=lens_views, fresh=fresh
+            )
+        )
+        return judge_and_store(config, store, run, taken_utc, accept=accept, as_json=as_json)
 
 
-def capture_views(config: Config, state: Path) -> tuple[Path, datetime]:
-    """Take the views with the pan-tilt head; give the directory of their frame set, and when.
+def calibrate_on(
+    config: Config, directory: Path, method: Method, *, skew: bool = False
+) -> tuple[CalibrationRun, datetime]:
+    """Calibrate on a frame set; give the result, and when it was made."""
+    frames = views_in(directory)
+    with progress(len(frames.rows) + 1, "calibrating") as steps:
+        run = calibrate_frames(frames, config.site(), method, steps.next, skew=skew)
+    return run, datetime.now(UTC)
 
-    Raises HardwareError for a backend without a head, AlreadyRunningError, HeadError, DeviceError.
+
+def calibrate_with_head(
+    config: Config,
+    state: Path,
+    method: Method,
+    *,
+    skew: bool = False,
+    lens_views: Path | None = None,
+    fresh: bool = False,
+) -> tuple[CalibrationRun, datetime]:
+    """Take the views with the pan-tilt head and calibrate on them; views that do not fit again.
+
+    Raises HardwareError for a backend without a head, AlreadyRunningError, HeadError,
+    DeviceError, CalibrationError.
     """
+    simulated_clock = config.simulation.clock == "stepped"
+    begun = (
+        None
+        if fresh
+        else unfinished(state, config.config_hash(), None if simulated_clock else datetime.now(UTC))
+    )
+    if begun is not None:
+        note(
+            f"going on with {begun.directory}: {len(begun.rows)} views are there; --fresh does not"
+        )
+    lens = read_lens_views(lens_views) if lens_views and begun is None else None
+    with ExitStack() as stack:
+        stack.enter_context(stopping_cleanly())
+        stack.enter_context(cameras_to_oneself(state, "dcam-ctl calibrate"))
+        rig = stack.enter_context(opened_rig(config, begun))
+        with kept_when_interrupted(), progress(_steps(rig, lens, begun), "taking views") as steps:
+            session = take_views(rig, state, config.config_hash(), lens, begun, steps.next, _tell)
+        run, taken_utc = calibrate_on(config, session.directory, method, skew=skew)
+        misfits = _misfits(run)
+        if 0 < len(misfits) <= MOST_TAKEN_AGAIN:
+            note(f"{len(misfits)} positions do not fit the others; they are taken again")
+            with progress(len(misfits), "taking views again") as steps:
+                take_again(rig, session, misfits, steps.next, _tell)
+            run, taken_utc = calibrate_on(config, session.directory, method, skew=skew)
+        return run, rig.clock.now_utc() if simulated_clock else taken_utc
+
+
+@contextmanager
+def kept_when_interrupted() -> Iterator[None]:
+    """Say what becomes of the views when Ctrl-C or SIGTERM ends the block."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        msg = "interrupted; the views are kept, the same command goes on from there"
+        raise WorkFailedError(msg) from None
+
+
+def _steps(rig: Rig, lens: FrameSet | None, begun: Session | None) -> int:
+    if begun is not None:
+        return len(begun.plan.positions) + 1 - len(begun.done)
+    return VIEWS + 1 + (SIMULATED_LENS_VIEWS if rig.hold_board and lens is None else 0)
+
+
+def _tell(trouble: str) -> None:
+    note(f"warning: {trouble}")
+
+
+def _misfits(run: CalibrationRun) -> list[str]:
+    """Slots of the rig views that were rejected."""
+    named = (re.match(r"rig (\S+)", entry["view"]) for entry in run.report.figures["rejected"])
+    return [match[1] for match in named if match]
+
+
+def read_lens_views(directory: Path) -> FrameSet:
+    """Read a frame set for its lens views. Raises FrameSetError, UsageError."""
+    frames = read_frame_set(directory)
+    if not frames.rows_of("intrinsics"):
+        msg = f"{directory}: holds no lens views (rows of role intrinsics)"
+        raise UsageError(msg)
+    return frames
+
+
+@contextmanager
+def opened_rig(config: Config, begun: Session | None) -> Iterator[Rig]:
+    """Open cameras and head for a session. Raises HardwareError for a backend without a head."""
     backend = require_backend(config)
     if backend != "simulated":
         msg = f"no pan-tilt head for backend {backend} in this version; use --from DIR"
         raise HardwareError(msg)
-    clock = open_clock(config, begin_utc=config.simulation.start_utc - BEFORE_THE_STORY)
-    with sole_writer(state, "dcam-ctl calibrate"):
-        devices = open_simulated_rig(config, clock)
-        rig = Rig(config.site(), devices.source, devices.head, clock, devices.world.hold_board)
-        with (
-            closing(devices.source),
-            closing(devices.head),
-            progress(view_count(rig), "taking views") as steps,
-        ):
-            return take_views(rig, state, steps.next), clock.now_utc()
+    begin_utc = config.simulation.start_utc - BEFORE_THE_STORY
+    if begun is not None:
+        begin_utc = max(begin_utc, begun.rows[-1].slot_utc + timedelta(seconds=1))
+    clock = open_clock(config, begin_utc=begin_utc)
+    devices = open_simulated_rig(config, clock)
+    head = devices.world.settings.head
+    with closing(devices.source), closing(devices.head):
+        yield Rig(
+            config.site(),
+            devices.source,
+            devices.head,
+            Limits(head.limit_pan_deg, head.limit_tilt_deg),
+            clock,
+            devices.world.hold_board,
+        )
 
 
-def calibrate_and_store(
+@contextmanager
+def stopping_cleanly() -> Iterator[None]:
+    """Let SIGTERM and a closed terminal end the block as Ctrl-C does: the head is halted."""
+
+    def interrupt(_number: int, _frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = {
+        number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGHUP)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def judge_and_store(
     config: Config,
-    state: Path,
-    directory: Path,
-    method: Method,
+    store: Store,
+    run: CalibrationRun,
     created_utc: datetime,
     *,
-    skew: bool = False,
     accept: bool,
     as_json: bool,
 ) -> int:
-    """Calibrate on a frame set, store the result, tell it; give the exit code.
+    """Store a calibration, active if it may be, and tell it; give the exit code.
 
     Only a question shows the report before it is stored: a reader of stdout that goes away
     (`| head`) must not cost the calibration.
     """
-    frames = views_in(directory)
+    passed = run.report.passed
     asks = sys.stdin.isatty() and not (accept or as_json)
-    with open_store(state) as store:
-        with progress(len(frames.rows) + 1, "calibrating") as steps:
-            run = calibrate_frames(frames, config.site(), method, steps.next, skew=skew)
-        passed = run.report.passed
-        if asks:
-            say_report(run)
-            question = "Make it the active calibration?"
-            active = click.confirm(question, default=passed, err=True)
-        else:
-            active = accept or passed
-        number = store_run(store, run, config, created_utc, activate=active)
+    if asks:
+        say_report(run)
+        question = "Make it the active calibration?"
+        active = click.confirm(question, default=passed, err=True)
+    else:
+        active = accept or passed
+    number = store_run(store, run, config, created_utc, activate=active)
     if accept and not passed:
         note("warning: accepted although it did not pass")
     if as_json:

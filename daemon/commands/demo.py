@@ -20,7 +20,7 @@ import numpy as np
 from core.calibration import Method
 from core.results import Flag
 from core.site import FloatArray
-from daemon.commands.calibrate import calibrate_and_store, capture_views
+from daemon.commands.calibrate import calibrate_with_head, judge_and_store
 from daemon.commands.gaps import print_gaps
 from daemon.commands.options import common_options
 from daemon.commands.output import note, print_table, progress, say
@@ -30,7 +30,7 @@ from daemon.devices import open_clock, open_simulated_rig
 from daemon.errors import UsageError, WorkFailedError
 from daemon.figure import GapSpan, draw, require_matplotlib, series_of
 from daemon.health import look
-from daemon.store.database import Store, open_store_readonly
+from daemon.store.database import Store, open_store, open_store_readonly
 from daemon.store.records import GapRecord, MeasurementRecord
 from daemon.verdict import judge
 from daemon.wording import coverage_text, span_text
@@ -62,16 +62,10 @@ def command(output: Path | None) -> None:
     directory = prepared(output)
     site = find_installation(directory / CONFIG, directory / "state")
     say(f"1. Calibration with the pan-tilt head, {site.config.name} site in {directory}")
-    frames, taken_utc = capture_views(site.config, site.state_directory)
-    calibrate_and_store(
-        site.config,
-        site.state_directory,
-        frames,
-        Method.RIGID,
-        taken_utc,
-        accept=True,
-        as_json=False,
+    run, taken_utc = calibrate_with_head(
+        site.config, site.state_directory, Method.RIGID, fresh=True
     )
+    judge_and_store(site.config, site.state_directory, run, taken_utc, accept=True, as_json=False)
     say(f"\n2. dcamd, {SLOTS} slots, {span_text(site.config.schedule.period_s)} apart")
     run_dcamd(site, directory / LOG)
     with open_store_readonly(site.state_directory) as store:

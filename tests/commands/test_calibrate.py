@@ -241,7 +241,7 @@ def test_pan_tilt_without_a_head_is_a_clear_line(ctl: Ctl, bench: Path, tmp_path
 
 
 def test_pan_tilt_takes_views_keeps_them_and_calibrates_on_them(ctl: Ctl, tmp_path: Path) -> None:
-    """The simulated head: lens views, the zero, 21 positions, all below the state directory."""
+    """The simulated head: lens views, the zero, 21 positions and the zero twice again."""
     config, state = tmp_path / "dcam.toml", tmp_path / "state"
     config.write_text(SIMULATED)
     ran = ctl("--config", config, "--state", state, "calibrate", "--pan-tilt", "--json")
@@ -249,7 +249,7 @@ def test_pan_tilt_takes_views_keeps_them_and_calibrates_on_them(ctl: Ctl, tmp_pa
     result = json.loads(ran.out)
     frames = read_frame_set(Path(result["frames"]))
     assert frames.directory.parent == state / "calibrations"
-    assert [len(frames.rows_of(r)) for r in ("intrinsics", "reference", "rig")] == [12, 1, 21]
+    assert [len(frames.rows_of(r)) for r in ("intrinsics", "reference", "rig")] == [12, 1, 23]
     assert {(row.pan_deg, row.tilt_deg) for row in frames.rows_of("reference")} == {(0.0, 0.0)}
     assert np.ptp([row.pan_deg for row in frames.rows_of("rig")]) > 0.2
     assert np.ptp([row.tilt_deg for row in frames.rows_of("rig")]) > 0.1

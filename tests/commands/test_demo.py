@@ -11,12 +11,9 @@ import numpy as np
 import pytest
 
 from core.results import Displacement, Flag, Measurement, Reason, RigMotion
-from daemon.calibration_session import planned_positions
 from daemon.commands import demo
 from daemon.config import load_config
 from daemon.figure import GapSpan, draw, series_of
-from drivers.sim.settings import SimSettings
-from drivers.sim.world import World
 from tests.commands.conftest import Ctl
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -90,22 +87,6 @@ def test_without_matplotlib_it_says_how_to_install_it(
     monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
     assert not demo.can_draw()
     assert "pip install 'dcam[plot]'" in capsys.readouterr().err
-
-
-def test_planned_positions_keep_the_target_in_the_image(bench: Path) -> None:
-    """21 of them, spread over both axes, none at which a disc would leave the main image."""
-    site = load_config(bench / "dcam.toml").site()
-    positions = planned_positions(site)
-    assert len(set(positions)) == 21
-    world = World(site, SimSettings(seed=1))
-    radius_px = 0.5 * site.main_target.diameters_mm.max() * site.main.focal_px / 11000.0
-    for position in positions:
-        world.turn_head(*position)
-        centres_px = world.disc_centres_px(datetime(2026, 1, 1, tzinfo=UTC))
-        assert centres_px.min() > radius_px
-        assert (centres_px < np.array([640, 400]) - radius_px).all()
-    assert np.ptp([pan for pan, _ in positions]) > 0.3
-    assert np.ptp([tilt for _, tilt in positions]) > 0.15
 
 
 @pytest.mark.parametrize("suffix", ["png", "svg"])

@@ -1,0 +1,297 @@
+"""Taking a calibration's views with the rig: kept one by one, resumed after whatever broke off.
+
+A session is a directory below `STATE/calibrations`: a frame set to which each view is added
+durably as soon as it is taken, and `session.json`, which says what was planned. From the
+directory a calibration can be repeated years later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from core.errors import CalibrationError
+from core.site import Site
+from daemon.calibration.positions import ZERO, Limits, Position, planned_positions
+from daemon.calibration.sight import Sight, settled_sight
+from daemon.store.durable import make_directory_durable, write_durable
+from drivers.errors import DriverError
+from drivers.frameset import (
+    FrameRole,
+    FrameSet,
+    FrameSetRow,
+    encode_png,
+    format_slot,
+    read_frame_set,
+    write_table,
+)
+from drivers.protocols import CapturedFrame, Clock, FramePairSource, PanTiltHead
+
+FOLDER = "calibrations"
+"""Below the state directory; one directory a session, named by its time in UTC."""
+PLAN = "session.json"
+RESUME_WITHIN = timedelta(hours=3)
+"""An older session is not taken up again: the bridge may have moved its target since."""
+TRIES = 3
+"""How often a view is taken until both targets are seen well in it."""
+SIMULATED_LENS_VIEWS = 12
+
+OnStep = Callable[[str], None]
+"""Told what is being done, once for each view."""
+OnTrouble = Callable[[str], None]
+"""Told what an engineer should know of a view, and what is done about it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """What a session works with."""
+
+    site: Site
+    source: FramePairSource
+    head: PanTiltHead
+    limits: Limits
+    clock: Clock
+    hold_board: Callable[[int | None], None] | None
+    """Brings the board into pose n before the sub-camera, and back to its place with None;
+    None for a rig whose board is in somebody's hand or bonded already."""
+
+
+class Plan(BaseModel):
+    """`session.json`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    config_hash: str
+    lens_views: int
+    """Rows of the frame set that come before the reference."""
+    positions: tuple[Position, ...]
+    state: Literal["taking", "taken"]
+
+
+@dataclass(slots=True)
+class Session:
+    """A frame set in the making."""
+
+    directory: Path
+    plan: Plan
+    rows: list[FrameSetRow]
+
+    @property
+    def has_reference(self) -> bool:
+        """Whether the zero has been taken."""
+        return any(row.role == "reference" for row in self.rows)
+
+    @property
+    def done(self) -> set[int]:
+        """Numbers of the positions that have been taken."""
+        return {int(row.extra["step"]) for row in self.rows if row.role == "rig"}
+
+    def add(self, row: FrameSetRow) -> None:
+        """Put a row into the table, whose images are on the disk."""
+        self.rows.append(row)
+        self.rows.sort(key=lambda row: row.slot_utc)  # lens views may have come by another clock
+        write_table(self.directory, self.rows)
+
+    def note(self, plan: Plan) -> None:
+        """Change the plan on the disk, in one step."""
+        self.plan = plan
+        write_durable(self.directory / PLAN, plan.model_dump_json(indent=2).encode())
+
+
+def unfinished(state: Path, config_hash: str, now_utc: datetime | None = None) -> Session | None:
+    """Give the latest session that broke off, if it may be taken up again.
+
+    It is of the same config, has its zero, and is younger than `RESUME_WITHIN` (None: of any
+    age, as on a simulated clock).
+    """
+    for directory in sorted((state / FOLDER).glob("*/"), reverse=True):
+        session = _read(directory)
+        if session is None or session.plan.state == "taken":
+            continue
+        if session.plan.config_hash != config_hash or not session.has_reference:
+            continue
+        old = now_utc is not None and now_utc - session.rows[-1].slot_utc > RESUME_WITHIN
+        return None if old else session
+    return None
+
+
+def _read(directory: Path) -> Session | None:
+    try:
+        plan = Plan.model_validate_json((directory / PLAN).read_bytes())
+        rows = read_frame_set(directory).rows
+    except (OSError, ValidationError, DriverError):
+        return None  # not a session, or one that had nothing yet
+    return Session(directory, plan, list(rows))
+
+
+def take_views(
+    rig: Rig,
+    state: Path,
+    config_hash: str,
+    lens_views: FrameSet | None,
+    resume: Session | None,
+    on_step: OnStep,
+    on_trouble: OnTrouble,
+) -> Session:
+    """Take what a calibration needs: lens views (given or taken), the zero, all positions.
+
+    The rig ends where it began, also after an error, and the head is halted first. Raises
+    CalibrationError for what the first look shows, HardwareError, HeadError, DeviceError, OSError.
+    """
+    try:
+        rig.head.move_to(*ZERO)
+        if resume is None:
+            session = _begin(rig, state, config_hash, lens_views, on_step, on_trouble)
+        else:
+            session = resume
+            # Whether anything moved while nobody looked shows at the zero.
+            _take_position(rig, session, len(session.plan.positions), ZERO, on_step, on_trouble)
+        for number, position in enumerate(session.plan.positions):
+            if number not in session.done:
+                _take_position(rig, session, number, position, on_step, on_trouble)
+        session.note(session.plan.model_copy(update={"state": "taken"}))
+    except BaseException:
+        rig.head.halt()
+        raise
+    finally:
+        if rig.hold_board is not None:
+            rig.hold_board(None)
+    rig.head.move_to(*ZERO)
+    return session
+
+
+def take_again(
+    rig: Rig, session: Session, slots: Sequence[str], on_step: OnStep, on_trouble: OnTrouble
+) -> int:
+    """Take the positions of rig views that did not fit once more; give how many there were.
+
+    slots are the views' slots as `frames.csv` writes them. The views that did not fit stay in
+    the frame set. Raises as `take_views`.
+    """
+    steps = {
+        int(row.extra["step"])
+        for row in session.rows
+        if row.role == "rig" and format_slot(row.slot_utc) in slots
+    }
+    positions = (*session.plan.positions, ZERO)
+    try:
+        for number in sorted(steps):
+            _take_position(rig, session, number, positions[number], on_step, on_trouble)
+    except BaseException:
+        rig.head.halt()
+        raise
+    rig.head.move_to(*ZERO)
+    return len(steps)
+
+
+def _begin(
+    rig: Rig,
+    state: Path,
+    config_hash: str,
+    lens_views: FrameSet | None,
+    on_step: OnStep,
+    on_trouble: OnTrouble,
+) -> Session:
+    """Take lens views and zero, and plan the positions from what the zero shows."""
+    if rig.hold_board is not None and lens_views is None:
+        rig.hold_board(None)
+    first_utc, sight = settled_sight(rig.source, rig.clock, rig.site)
+    if sight.problems or sight.discs is None:
+        raise CalibrationError("before calibrating: " + "; ".join(sight.problems))
+    positions = tuple(planned_positions(rig.site, sight.discs, rig.limits))
+    directory = _new_directory(state / FOLDER / f"{first_utc:%Y%m%dT%H%M%SZ}")
+    plan = Plan(config_hash=config_hash, lens_views=0, positions=positions, state="taking")
+    session = Session(directory, plan, [])
+    session.note(plan)
+    if lens_views is not None:
+        _copy_lens_views(session, lens_views)
+    elif rig.hold_board is not None:
+        for number in range(SIMULATED_LENS_VIEWS):
+            rig.hold_board(number)
+            on_step(f"lens view {number + 1}")
+            slot_utc, seen = settled_sight(rig.source, rig.clock, rig.site, board_only=True)
+            session.add(_keep(session, slot_utc, "intrinsics", seen, None, None))
+            if seen.problems:
+                on_trouble(f"lens view {number + 1}: {'; '.join(seen.problems)}")
+        rig.hold_board(None)
+    session.note(session.plan.model_copy(update={"lens_views": len(session.rows)}))
+    on_step("zero")
+    slot_utc, seen = settled_sight(rig.source, rig.clock, rig.site)
+    if seen.problems:
+        raise CalibrationError("zero: " + "; ".join(seen.problems))
+    session.add(_keep(session, slot_utc, "reference", seen, rig.head, None))
+    return session
+
+
+def _take_position(
+    rig: Rig,
+    session: Session,
+    number: int,
+    position: Position,
+    on_step: OnStep,
+    on_trouble: OnTrouble,
+) -> None:
+    """Move, wait until the images stand still, keep the pair; again if it shows too little."""
+    on_step(f"position {number + 1} of {len(session.plan.positions)}")
+    for left in reversed(range(TRIES)):
+        rig.head.move_to(*position)
+        slot_utc, sight = settled_sight(rig.source, rig.clock, rig.site)
+        session.add(_keep(session, slot_utc, "rig", sight, rig.head, number, position))
+        if not sight.problems:
+            return
+        then = "taken again" if left else "kept as it is"
+        on_trouble(f"position {number + 1}: {'; '.join(sight.problems)}: {then}")
+
+
+def _keep(
+    session: Session,
+    slot_utc: datetime,
+    role: FrameRole,
+    sight: Sight,
+    head: PanTiltHead | None,
+    step: int | None,
+    position: Position = ZERO,
+) -> FrameSetRow:
+    """Put a pair's images on the disk; give their row."""
+    reached = (head.position_deg() or position) if head is not None else None
+    directory, pair = session.directory, sight.pair
+    return FrameSetRow(
+        slot_utc=slot_utc,
+        role=role,
+        main=None if role == "intrinsics" else _write(directory, slot_utc, "main", pair.main),
+        sub=_write(directory, slot_utc, "sub", pair.sub),
+        pan_deg=None if reached is None else round(reached[0], 4),
+        tilt_deg=None if reached is None else round(reached[1], 4),
+        extra=MappingProxyType({"step": "" if step is None else str(step)}),
+    )
+
+
+def _copy_lens_views(session: Session, lens_views: FrameSet) -> None:
+    """Take over the lens views of another frame set, images and all."""
+    for row in lens_views.rows_of("intrinsics"):
+        name = f"lens_{row.slot_utc:%Y%m%dT%H%M%SZ}_sub.png"
+        write_durable(session.directory / name, (lens_views.directory / str(row.sub)).read_bytes())
+        step = MappingProxyType({"step": ""})
+        session.add(FrameSetRow(row.slot_utc, "intrinsics", None, name, extra=step))
+
+
+def _new_directory(wanted: Path) -> Path:
+    """Make a directory; simulated time can come twice, and no session overwrites another."""
+    directory, number = wanted, 1
+    while directory.exists():
+        number += 1
+        directory = wanted.with_name(f"{wanted.name}-{number}")
+    make_directory_durable(directory)
+    return directory
+
+
+def _write(directory: Path, slot_utc: datetime, role: str, frame: CapturedFrame) -> str:
+    name = f"{slot_utc:%Y%m%dT%H%M%SZ}_{role}.png"
+    write_durable(directory / name, encode_png(frame.pixels, frame.bits))
+    return name
