@@ -65,7 +65,8 @@ def command(output: Path | None) -> None:
     run, taken_utc = calibrate_with_head(
         site.config, site.state_directory, Method.RIGID, fresh=True
     )
-    judge_and_store(site.config, site.state_directory, run, taken_utc, accept=True, as_json=False)
+    with open_store(site.state_directory) as store:
+        judge_and_store(site.config, store, run, taken_utc, accept=True, as_json=False)
     say(f"\n2. dcamd, {SLOTS} slots, {span_text(site.config.schedule.period_s)} apart")
     run_dcamd(site, directory / LOG)
     with open_store_readonly(site.state_directory) as store:
