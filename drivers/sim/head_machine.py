@@ -50,7 +50,8 @@ class FaultyHead:
 
     def __init__(self, machine: HeadMachine, faults: Faults) -> None:
         self._machine = machine
-        self._faults = faults
+        self.faults = faults
+        """May be changed while it runs."""
         self._rng = np.random.default_rng(faults.seed)
         self._on_the_way: deque[tuple[float, bytes]] = deque()
 
@@ -74,7 +75,7 @@ class FaultyHead:
         return self._machine.angles_deg(now_s)
 
     def _send(self, answer: bytes, now_s: float) -> None:
-        faults = self._faults
+        faults = self.faults
         if not answer or _is_past(faults.silent_after, self.commands):
             return
         if _is_past(faults.nonsense_after, self.commands):

@@ -59,6 +59,10 @@ class HeadServer:
         """What a client opens."""
         return self._link or self._port
 
+    def angles_deg(self) -> tuple[float, float]:
+        """Where pan and tilt truly are, now."""
+        return self._machine.angles_deg(self._now_s())
+
     def serve(self) -> None:
         """Serve until `stop`."""
         while not self._stop.is_set():
@@ -67,7 +71,7 @@ class HeadServer:
                 watched.append(self._giver)
             ready, _, _ = select.select(watched, [], [], TICK_S)
             if self._giver is not None and self._giver in ready:
-                self._giver.answer(self._machine.angles_deg(self._now_s()))
+                self._giver.answer(self.angles_deg())
             if self._head_end in ready:
                 with suppress(OSError):
                     data = os.read(self._head_end, 4096)
