@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
-from drivers.errors import HeadError, HeadLimitError
+from drivers.errors import HeadError, HeadLimitError, HeadLostError
 from drivers.protocols import HeadSettings
 from drivers.serial_line import Line
 
@@ -26,13 +26,24 @@ REST_S = 1.0
 SAME_DEG = 1e-6
 
 
-def require_within(who: str, limits_deg: tuple[Position, Position], asked_deg: Position) -> None:
+def renew(line: Line) -> None:
+    """Open the line; one that died while nobody used it is opened anew. Raises HeadLostError."""
+    if line.openings:
+        with suppress(HeadLostError):  # it is closed now
+            line.read(0.0)
+    line.open()
+
+
+def require_within(
+    who: str, limits_deg: tuple[Position, Position], asked_deg: Position, advice: str = ""
+) -> None:
     """Raise HeadLimitError for an angle beyond its limits; also for one that is no number."""
     for axis, (low, high), angle in zip(AXES, limits_deg, asked_deg, strict=True):
         if not low <= angle <= high:
+            what = advice or f"ask for less, or change pan_tilt.{axis}_limits_deg"
             msg = (
                 f"{who}: {axis} {angle:g} deg is beyond its limits of {low:g} to {high:g} deg; "
-                f"ask for less, or change pan_tilt.{axis}_limits_deg"
+                f"{what}"
             )
             raise HeadLimitError(msg)
 
@@ -72,15 +83,17 @@ def wait_until_there(
     asked_deg: Position,
     settings: HeadSettings,
     abort: threading.Event,
+    unasked: Callable[[bytes], None] = lambda _: None,
 ) -> None:
     """Ask where the head is until it is there, or rests near enough. Raises HeadError.
 
-    `asked_deg` is a place that the head can report exactly; said twice it has arrived.
+    `asked_deg` is a place that the head can report exactly; said twice it has arrived. `unasked`
+    is given the bytes that come between two questions.
     """
     last, changed_s = where(), line.monotonic_s()
     deadline_s = changed_s + settings.move_timeout_s
     while True:
-        listen(line, POLL_S, abort)
+        unasked(listen(line, POLL_S, abort))
         if abort.is_set():
             msg = f"{who}: halted on its way to {_text(asked_deg)}"
             raise HeadError(msg)

@@ -18,6 +18,7 @@ from drivers.head_moves import (
     Position,
     halted_on_error,
     listen,
+    renew,
     require_within,
     wait_until_there,
 )
@@ -92,17 +93,18 @@ class PelcoHead:
         talk, target = self._talk, (round(pan_deg, 2), round(tilt_deg, 2))
         talk.abort.clear()
         with halted_on_error(self._who, talk.stop):
-            # A head that does not answer is known before it moves.
-            self.position_deg()
+            renew(self._line)
+            self._position()  # a head that does not answer is known before it moves
             talk.send(angle_message(talk.address, SET_PAN, target[0]))
             talk.send(angle_message(talk.address, SET_TILT, target[1]))
             wait_until_there(
-                self._who, self._line, self.position_deg, target, self._settings, talk.abort
+                self._who, self._line, self._position, target, self._settings, talk.abort
             )
 
     def position_deg(self) -> Position:
         """Pan and tilt as the head answers, above -180 to 180 deg."""
-        return self._angle(ASK_PAN, PAN_IS), self._angle(ASK_TILT, TILT_IS)
+        renew(self._line)
+        return self._position()
 
     def describe(self) -> HeadReport:
         """Pelco-D knows no version, limits or voltage."""
@@ -116,6 +118,9 @@ class PelcoHead:
     def close(self) -> None:
         """Halt if the line was ever used, and release the port."""
         self._talk.close()
+
+    def _position(self) -> Position:
+        return self._angle(ASK_PAN, PAN_IS), self._angle(ASK_TILT, TILT_IS)
 
     def _angle(self, ask: int, answer: int) -> float:
         """Ask for one angle. Raises HeadError."""
@@ -187,6 +192,7 @@ class TimedPelcoHead:
             raise HeadError(msg)
         self._talk.abort.clear()
         with halted_on_error(self._who, self._talk.stop):
+            renew(self._line)
             for axis, angle_deg in enumerate(asked):
                 self._turn(axis, angle_deg - self._reckoned_deg[axis])
 
@@ -195,6 +201,7 @@ class TimedPelcoHead:
 
     def describe(self) -> HeadReport:
         """Pelco-D knows no version, limits or voltage; opens the port and stops the head."""
+        renew(self._line)
         self._talk.stop()
         return HeadReport("Pelco-D without answers", None, limits_deg=None, power=None)
 

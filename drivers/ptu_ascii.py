@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import structlog
 
 from drivers.errors import HeadError
-from drivers.head_moves import Position, halted_on_error, require_within, wait_until_there
+from drivers.head_moves import Position, halted_on_error, renew, require_within, wait_until_there
 from drivers.protocols import HeadReport, HeadSettings
 from drivers.serial_line import Line
 
@@ -27,6 +27,7 @@ QUIET_S = 0.2
 """A pause this long means that nothing more is on its way."""
 MAX_NOISE_S = 2.0
 ARCSEC_PER_DEG = 3600.0
+OWN_LIMITS = "they are set in the head itself; ask for less"
 
 _UNASKED = re.compile(rb"!([PT])(?![A-Za-z])")
 _ANSWER = re.compile(r"([*!])[ \t]*(.*)")
@@ -89,24 +90,27 @@ class PtuHead:
         require_within(self._who, limits, asked)
         self._abort.clear()
         with halted_on_error(self._who, self._stop):
+            renew(self._line)
             pan, tilt = self._known_axes()
-            require_within(f"{self._who}, by itself", (pan.limits_deg, tilt.limits_deg), asked)
+            require_within(self._who, (pan.limits_deg, tilt.limits_deg), asked, OWN_LIMITS)
             counts = pan.counts(pan_deg, limits[0]), tilt.counts(tilt_deg, limits[1])
             self._limits_hit.clear()
             self._ask(f"PP{counts[0]}")
             self._ask(f"TP{counts[1]}")
             target = counts[0] * pan.deg_per_count, counts[1] * tilt.deg_per_count
             wait_until_there(
-                self._who, self._line, self._position_on_the_way, target, settings, self._abort
+                *(self._who, self._line, self._position_on_the_way, target, settings, self._abort),
+                unasked=self._note_unasked,
             )
 
     def position_deg(self) -> Position:
         """Pan and tilt by the counts that the head reports."""
-        self._known_axes()
+        renew(self._line)
         return self._position()
 
     def describe(self) -> HeadReport:
         """Ask version, position, limits, and voltage and temperature where the head knows."""
+        renew(self._line)
         pan, tilt = self._known_axes()
         try:
             power: str | None = self._ask("O")
@@ -142,6 +146,7 @@ class PtuHead:
     def _known_axes(self) -> tuple[_Axis, _Axis]:
         """Greet the head when the line is new: echo off, terse, who are you."""
         with self._talking:
+            self._line.open()
             if self._axes is None or self._greeted != self._line.openings:
                 for command in ("ED", "FT"):
                     self._ask(command)

@@ -57,6 +57,7 @@ class PtuMachine:
         self._waiting: str | None = None
         self._queue: deque[str] = deque()
         self._strike_s: float | None = None
+        self._strike_said = False
 
     def receive(self, data: bytes, now_s: float) -> bytes:
         """Take typed characters; each command that a delimiter ends is answered in turn."""
@@ -185,13 +186,14 @@ class PtuMachine:
         self._moves += 1
         if self._moves in {self._model.jam_at_move, self._model.limit_hit_at_move}:
             self._strike_s = now_s + _half_way_s(axis, now_s)
+            self._strike_said = self._moves == self._model.limit_hit_at_move
         return self._line("*")
 
     def _strike(self, now_s: float) -> bytes:
         """Be blocked in the middle of a move; some say so."""
         for axis in (self.pan, self.tilt):
             axis.jam(now_s)
-        return self._line("!P") if self._moves == self._model.limit_hit_at_move else b""
+        return self._line("!P") if self._strike_said else b""
 
     # ------------------------------------------------------------ answers
 

@@ -39,6 +39,7 @@ class MachineLine:
 
     def open(self) -> None:
         if not self.plugged:
+            self._open = False
             msg = "the line: no such port"
             raise HeadLostError(msg)
         if not self._open:

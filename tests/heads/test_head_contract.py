@@ -194,6 +194,15 @@ def test_a_port_that_vanishes_in_a_move_and_comes_back_ends_it_halted(port_bench
     port_bench.head.describe()
 
 
+def test_a_port_that_went_and_came_while_nobody_moved_is_no_error(port_bench: Bench) -> None:
+    port_bench.head.move_to(0.0, 0.0)
+    port_bench.head.describe()
+    port_bench.unplug()
+    port_bench.replug()
+    port_bench.head.move_to(0.5, -0.5)
+    assert near(port_bench.angles_deg(), (0.5, -0.5), port_bench.count_deg)
+
+
 def test_a_port_that_does_not_come_back_is_told_as_a_danger(tmp_path: Path) -> None:
     port = PortBench(lambda: PtuMachine(PtuModel()), tmp_path / "head", FASTER)
     head = PtuHead(SerialLine(str(tmp_path / "head"), 9600, reopen_s=0.2), SETTINGS)
