@@ -243,7 +243,7 @@ def calibrate_numbers(views: Views, site: Site) -> tuple[Setup, Fit]:
     recipe = Recipe(site, Board.nominal(site.sub_target), Method.RIGID, skew=False)
     start, _ = start_from_views(views, recipe)
     fit = fit_views(views, start, recipe)
-    return setup_of(fit, recipe.board), fit
+    return setup_of(fit, recipe), fit
 
 
 def run_rendered(case: Case, seed: int) -> Outcome:

@@ -23,9 +23,8 @@ from core.setup import Setup
 from core.site import Site
 from core.views import CalibrationView, ViewRole, look, relocate
 
-_FORMAT = 2
-_READABLE = (1, 2)
-"""Format 1 had the one lens model that there was, without its name."""
+_FORMAT = 3
+"""Formats 1 and 2 kept no joint covariance of the board's corners, which every row now needs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +42,12 @@ class Calibration:
     def from_dict(cls, data: dict[str, Any]) -> Calibration:
         """Read what `to_dict` gave. Raises CalibrationError."""
         try:
-            if data["format"] not in _READABLE:
-                msg = f"calibration of format {data['format']}, this version reads up to {_FORMAT}"
+            if data["format"] != _FORMAT:
+                msg = (
+                    f"calibration of format {data['format']}, this version of dcam needs format "
+                    f"{_FORMAT}; calibrate again, from the same frames if they were kept "
+                    "(dcam-ctl calibrate --from)"
+                )
                 raise CalibrationError(msg)
             return cls(Method(data["method"]), Setup.from_dict(data["setup"]))
         except (KeyError, ValueError, TypeError) as error:
@@ -74,7 +77,7 @@ def calibrate(
         fit_views(relocate(seen, start, recipe.board), start, recipe), recipe
     )
     fit, moved = without_moved_targets(fit, recipe)
-    setup = setup_of(fit, recipe.board)
+    setup = setup_of(fit, recipe)
     report = write_report(
         fit, setup, recipe, [*rejected, *misfits, *bad, *moved], validate(fit, recipe)
     )

@@ -46,7 +46,7 @@ def write_report(
     held_out: FloatArray,
 ) -> CalibrationReport:
     """Judge a calibration. held_out (n, 2) are the errors in mm at held-out positions."""
-    drift = drift_errors(setup, recipe.site.quality)
+    drift = drift_errors(setup, recipe.site)
     problems = _problems(fit, setup, recipe, drift, held_out)
     figures = _figures(fit, setup, recipe, drift, held_out)
     figures["rejected"] = [{"view": name, "reason": reason} for name, reason in rejected]
@@ -64,10 +64,11 @@ def write_report(
             f"{figures['main_rms_px']:.4f} px rms"
         ),
         model_sentence(setup.model),
-        "expected error after correction (1 sigma, from the calibration alone): "
-        + ", ".join(f"{d.motion} {d.sigma_mm:.3f} mm" for d in drift),
+        "expected error of a row after the drift expected (1 sigma, in brackets the calibration's "
+        "part): "
+        + ", ".join(f"{d.motion} {d.sigma_mm:.3f} mm ({d.calibration_mm:.3f})" for d in drift),
     ]
-    advice = further_motion(setup, recipe.site.quality)
+    advice = further_motion(setup, recipe.site)
     if advice is not None:
         lines.append(advice)
     if len(held_out):
@@ -178,9 +179,14 @@ def _figures(
         },
         "lens_model": setup.lens.model.value,
         "lens": setup.lens.parameters.tolist(),
-        "lens_sigma": np.sqrt(np.diag(setup.covariance))[: setup.lens.size].tolist(),
+        "lens_sigma": fit.posterior.lens_sigma.tolist(),
         "board_scale": fit.adjusted.shape[:2].tolist(),
         "board_bow_mm": float(np.ptp(setup.corners_mm[:, 2])),
+        "board_spread_mm": {
+            "columns": fit.adjusted.spreads.column_mm,
+            "rows": fit.adjusted.spreads.row_mm,
+            "corners": fit.adjusted.spreads.corner_mm,
+        },
         "px_per_mm": float(np.linalg.svd(setup.B, compute_uv=False)[0]),
         "expected_error_mm": {d.motion: d.sigma_mm for d in drift},
         "held_out_mm": held_out.tolist(),
@@ -190,7 +196,8 @@ def _figures(
         "max_rotation_mrad": setup.levels.max_rotation_rad * 1e3,
     }
     if isinstance(setup.model, Rig):
-        figures["determined_by_views"] = determined_share(setup, rig_prior(site)).tolist()
+        figures["determined_by_views"] = determined_share(fit.posterior, rig_prior(site)).tolist()
+        figures["rig_sigma"] = fit.posterior.model_sigma.tolist()
         figures["depth_mm"] = setup.model.depth_mm
     else:
         figures["singular_values"] = setup.model.singular_values.tolist()

@@ -6,19 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.adjustment import pose_sensitivity
 from core.discs import MIN_DISCS, Discs
 from core.errors import TargetNotFoundError
-from core.paper import PaperModel
-from core.pose import Pose
+from core.propagation import DISC_FLOOR_PX, predict_shift, shift_effects
 from core.resection import BoardPose, BoardView, robust_weights
 from core.results import Displacement, RigMotion
-from core.rig import Rig, motion_by_pose, motion_by_reference
+from core.rig import motion_by_pose
 from core.setup import Setup
 from core.site import FloatArray, IntArray
 
 _CLEAN_MARGIN = 0.04
-_DISC_FLOOR_PX = 0.002
 
 
 def affine(centres_mm: FloatArray, points_px: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -31,32 +28,6 @@ def affine(centres_mm: FloatArray, points_px: FloatArray) -> tuple[FloatArray, F
 def affine_error_px(distance_mm: float, axial_motion_mm: float, off_axis_px: float) -> float:
     """Eq. 5: |dz / d0 (x - x0)|, the error of the affine camera; it should stay below 1 px."""
     return abs(axial_motion_mm / distance_mm) * off_axis_px
-
-
-@dataclass(frozen=True, slots=True)
-class Prediction:
-    """False shift of each disc, with its derivatives."""
-
-    shift_px: FloatArray
-    """(n, 2)."""
-    by_motion: FloatArray
-    """(n, 2, 6)."""
-    by_model: FloatArray
-    """(n, 2, m) by the parameters of the rig (8) or of the paper's model (9)."""
-
-
-def predict_shift(model: Rig | PaperModel, reference_px: FloatArray, motion: Pose) -> Prediction:
-    """Predict how the rig's motion shifts the image of a target at rest (Eq. 17)."""
-    if isinstance(model, Rig):
-        moved, by_motion, by_rig = model.move_jacobians(reference_px, motion)
-        return Prediction(moved - reference_px, by_motion, by_rig)
-    n = len(reference_px)
-    by_motion, by_parameters = model.shift_jacobians(motion)
-    return Prediction(
-        np.tile(model.shift(motion), (n, 1)),
-        np.tile(by_motion, (n, 1, 1)),
-        np.tile(by_parameters, (n, 1, 1)),
-    )
 
 
 def rig_motion(setup: Setup, board: BoardPose) -> RigMotion:
@@ -123,7 +94,7 @@ def _disc_covariance(discs: Discs, shift: Shift) -> FloatArray:
 
 def _reference_noise(discs: Discs, shift: Shift) -> FloatArray:
     """Covariance (2, 2) px^2 of the common shift from the reference: taken to be as noisy."""
-    each = discs.covariance_px2[shift.which] + _DISC_FLOOR_PX**2 * np.eye(2)
+    each = discs.covariance_px2[shift.which] + DISC_FLOOR_PX**2 * np.eye(2)
     return np.asarray(np.einsum("k,kab->ab", shift.weights**2, each))
 
 
@@ -141,8 +112,8 @@ def corrected_displacement(
 ) -> tuple[Displacement, Shift]:
     """Displacement with the false shift removed, Eq. 20: inv(B~) (u_j - u_false_j).
 
-    Its covariance comes from the discs, from this frame's pose, and from the calibration. Lens
-    and board act through this pose and the reference's, where they cancel for small motions.
+    Its covariance comes from the discs, from this frame's pose, and from the calibration, whose
+    lens, board and reference have largely the same effect on all frames and so cancel.
     """
     which = choose_discs(setup, discs)
     reference_px = setup.reference_discs_px[which]
@@ -150,19 +121,9 @@ def corrected_displacement(
     prediction = predict_shift(setup.model, reference_px, motion)
     miss = discs.points_px[which] - reference_px - prediction.shift_px
     mean, shift = _common_shift(miss, which)
-    by_motion = np.einsum("k,kab->ab", shift.weights, prediction.by_motion)
-    by_model = np.einsum("k,kab->ab", shift.weights, prediction.by_model)
-    by_pose = by_motion @ motion_by_pose(motion, setup.reference_pose)
-    by_reference = by_motion @ motion_by_reference(motion, setup.reference_pose)
     root = view.whitening() * np.sqrt(board.weights)[:, None, None]
-    terms = setup.shape_terms
-    here, there = (
-        pose_sensitivity(setup.lens, pose, setup.corners_mm, terms, view, root)[0]
-        for pose in (board.pose, setup.reference_pose)
-    )
-    by_lens_shape = by_pose @ here + by_reference @ there
-    by_calibration = np.concatenate([by_lens_shape, by_model, by_reference], axis=1)
-    calibration_px2 = by_calibration @ setup.covariance @ by_calibration.T
+    effects, by_pose = shift_effects(setup, prediction, shift.weights, board.pose, view, root)
+    calibration_px2 = effects.covariance(setup.posterior)
     covariance_px2 = (
         _disc_covariance(discs, shift) + by_pose @ board.covariance @ by_pose.T + calibration_px2
     )

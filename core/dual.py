@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from core.adjustment import SHAPE_PARAMETERS, Adjusted, AdjustmentPriors, adjust
+from core.adjustment import Adjusted, AdjustmentPriors, adjust
 from core.board import Board
-from core.compensation import affine, predict_shift
+from core.compensation import affine
 from core.discs import Discs
 from core.errors import CalibrationError
 from core.intrinsics import lens_prior, start_lens
 from core.lens import Lens
-from core.observability import require_motion
+from core.observability import drift_motions, require_motion
 from core.paper import PaperModel, fit_paper
 from core.pose import Pose
+from core.posterior import Posterior
+from core.propagation import expected_effects, predict_shift
 from core.resection import resect
-from core.rig import RIG_PARAMETERS, MainView, Rig
+from core.rig import MainView, Rig
 from core.setup import Levels, Setup
 from core.site import FloatArray, Site
 from core.views import Rejected, Views
@@ -65,8 +67,8 @@ class Fit:
     B: FloatArray
     """(2, 2) B~ of Eq. 8, px/mm."""
     model: Rig | PaperModel
-    covariance: FloatArray
-    """Of lens (its size), board shape (13), model (8 or 9), reference pose (6)."""
+    posterior: Posterior
+    """Of lens, model, reference pose and board, whole."""
 
     @property
     def reference_pose(self) -> Pose:
@@ -120,7 +122,7 @@ def _fit_rigid(
     if adjusted.rig is None:
         msg = "calibration: the rig views show too little of the main target"
         raise CalibrationError(msg)
-    return Fit(views, adjusted, B, adjusted.rig, adjusted.covariance)
+    return Fit(views, adjusted, B, adjusted.rig, adjusted.posterior)
 
 
 def _fit_paper(
@@ -131,6 +133,7 @@ def _fit_paper(
         lens=lens_prior(recipe.site.sub, skew=recipe.skew),
         scale=0.0,
         bow_mm=(0.0, 0.0, 0.0),
+        line_mm=0.0,
         corner_mm=0.0,
     )
     boards = [v.board.view for v in views.all]
@@ -147,18 +150,8 @@ def _fit_paper(
     p_CS1 = drawn.T_CM_CS.inverse().apply(drawn.target_points_CM1(middle[None]))[0]
     start_B = drawn.scale_px_per_mm * drawn.T_CM_CS.R[:2]
     model = fit_paper(motions, np.array(shifts), start_B, p_CS1)
-    return Fit(views, adjusted, B, model, _paper_covariance(adjusted, model))
-
-
-def _paper_covariance(adjusted: Adjusted, model: PaperModel) -> FloatArray:
-    """The rig's place in the adjustment's covariance taken by the nine parameters."""
-    size = adjusted.lens.size + SHAPE_PARAMETERS
-    kept = np.r_[:size, size + RIG_PARAMETERS : len(adjusted.covariance)]
-    covariance = np.zeros((size + 15, size + 15))
-    place = np.r_[:size, size + 9 : size + 15]
-    covariance[np.ix_(place, place)] = adjusted.covariance[np.ix_(kept, kept)]
-    covariance[size : size + 9, size : size + 9] = model.covariance
-    return covariance
+    posterior = adjusted.posterior.with_model(model.covariance)
+    return Fit(views, adjusted, B, model, posterior)
 
 
 def drawn_rig(site: Site, B: FloatArray) -> Rig:
@@ -257,7 +250,7 @@ def without_moved_targets(fit: Fit, recipe: Recipe) -> tuple[Fit, list[Rejected]
     return fit_views(others, fit.adjusted.lens, recipe), rejected
 
 
-def setup_of(fit: Fit, board: Board) -> Setup:
+def setup_of(fit: Fit, recipe: Recipe) -> Setup:
     """What measurements need of a fit."""
     reference = fit.views.reference
     levels = Levels(
@@ -269,17 +262,22 @@ def setup_of(fit: Fit, board: Board) -> Setup:
         max(float(np.linalg.norm(m.rotation_rad)) for m in fit.motions),
         max(float(np.linalg.norm(m.t_mm)) for m in fit.motions),
     )
-    return Setup(
-        board,
+    setup = Setup(
+        recipe.board,
         fit.adjusted.corners_mm,
         fit.adjusted.lens,
         fit.reference_pose,
         reference.discs.points_px,
         fit.B,
         fit.model,
-        fit.covariance,
+        fit.posterior,
         levels,
     )
+    effects_px = [
+        expected_effects(setup, recipe.site.sub, motion)[0].through(fit.posterior)
+        for motion in (*fit.motions, *drift_motions(recipe.site.quality))
+    ]
+    return replace(setup, posterior=fit.posterior.compressed(np.concatenate(effects_px)))
 
 
 def validate(fit: Fit, recipe: Recipe) -> FloatArray:

@@ -7,17 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.compensation import predict_shift
 from core.errors import NotObservableError
 from core.paper import PaperModel
 from core.pose import Pose
-from core.rig import Rig, motion_by_reference
+from core.posterior import Posterior
+from core.propagation import expected_effects
+from core.rig import Rig
 from core.setup import Setup
-from core.site import FloatArray, QualityLimits
+from core.site import FloatArray, QualityLimits, Site
 
 MIN_RIG_VIEWS = 4
 _MIN_TURN_RAD = 2e-4
 _MIN_RATIO = 0.05
+_FAR_TURNS = 10.0
 _AXES = (
     "rotation about x",
     "rotation about y",
@@ -41,6 +43,9 @@ def require_motion(motions: Sequence[Pose]) -> None:
         )
         raise NotObservableError(msg)
     turns = np.array([m.rotation_rad[:2] for m in motions])
+    size = np.hypot(turns[:, 0], turns[:, 1])
+    # One distorted image can seem to have turned by far more than the head can.
+    turns = turns[size <= _FAR_TURNS * np.percentile(size, 75.0)]
     spread, axes = np.linalg.svd(turns / np.sqrt(len(turns)), full_matrices=False)[1:]
     if spread[0] < _MIN_TURN_RAD:
         msg = (
@@ -64,53 +69,58 @@ def require_motion(motions: Sequence[Pose]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class DriftError:
-    """Predicted 1-sigma error of a correction for one motion of the expected drift."""
+    """Expected 1-sigma error of a row for one motion of the expected drift."""
 
     motion: str
     sigma_mm: float
+    """As the row will carry it: calibration and image noise."""
+    calibration_mm: float
+    """The calibration's part of it."""
 
 
-def drift_errors(setup: Setup, limits: QualityLimits) -> tuple[DriftError, ...]:
-    """Predicted calibration error (1 sigma, mm, the worse direction) of each drift motion."""
+def drift_motions(limits: QualityLimits) -> tuple[Pose, ...]:
+    """`T_CSj_CS1` of the expected drift about and along each axis."""
     amounts = [limits.expected_drift_mrad * 1e-3] * 3 + [limits.expected_drift_mm] * 3
+    return tuple(_along(axis, amount) for axis, amount in enumerate(amounts))
+
+
+def drift_errors(setup: Setup, site: Site) -> tuple[DriftError, ...]:
+    """Expected error (1 sigma, mm, the worse direction) of a row for each drift motion."""
     errors = []
-    for axis, (name, amount) in enumerate(zip(_AXES, amounts, strict=True)):
-        errors.append(DriftError(name, motion_sigma_mm(setup, _along(axis, amount))))
+    for name, motion in zip(_AXES, drift_motions(site.quality), strict=True):
+        expected = _expect(setup, site, motion)
+        errors.append(
+            DriftError(name, expected.sigma_mm(setup), expected.sigma_mm(setup, noise=False))
+        )
     return tuple(errors)
 
 
-def motion_sigma_mm(setup: Setup, motion: Pose) -> float:
-    """1 sigma of a correction from the calibration alone, mm, the worse direction.
+@dataclass(frozen=True, slots=True)
+class _Expected:
+    """What a row will be like after a rig motion."""
 
-    Model and reference are propagated; the lens and the board act on each frame's pose and are
-    part of a measurement's own sigma.
-    """
-    return _sigma_mm(setup, motion, setup.model_covariance)
+    through: FloatArray
+    """(2, r) px, by the posterior's columns."""
+    own_px2: FloatArray
+    """(2, 2) from the corners' own errors."""
+    noise_px2: FloatArray
+    """(2, 2) from the row's own images."""
+
+    def sigma_mm(
+        self, setup: Setup, knowledge: FloatArray | None = None, *, noise: bool = True
+    ) -> float:
+        """1 sigma, mm, the worse direction; knowledge (r, r) replaces the identity."""
+        inner = self.through if knowledge is None else self.through @ knowledge
+        covariance = inner @ self.through.T + self.own_px2
+        if noise:
+            covariance = covariance + self.noise_px2
+        to_mm = np.linalg.inv(setup.B)
+        return float(np.sqrt(np.linalg.eigvalsh(to_mm @ covariance @ to_mm.T).max()))
 
 
-def _sigma_mm(setup: Setup, motion: Pose, covariance: FloatArray) -> float:
-    jacobian = _change_jacobian(setup, motion)
-    to_mm = np.linalg.inv(setup.B) @ jacobian
-    return float(np.sqrt(np.linalg.eigvalsh(to_mm @ covariance @ to_mm.T).max()))
-
-
-def _change_jacobian(setup: Setup, motion: Pose) -> FloatArray:
-    """d(predicted shift for a motion minus that for none) by model and reference pose, (2, m)."""
-    reference_px = setup.reference_discs_px[np.isfinite(setup.reference_discs_px).all(axis=1)]
-    parts = []
-    for T_CSj_CS1 in (motion, Pose.identity()):
-        prediction = predict_shift(setup.model, reference_px, T_CSj_CS1)
-        by_reference = motion_by_reference(T_CSj_CS1, setup.reference_pose)
-        parts.append(
-            np.concatenate(
-                [
-                    prediction.by_model.mean(axis=0),
-                    prediction.by_motion.mean(axis=0) @ by_reference,
-                ],
-                axis=1,
-            )
-        )
-    return np.asarray(parts[0] - parts[1])
+def _expect(setup: Setup, site: Site, motion: Pose) -> _Expected:
+    effects, noise = expected_effects(setup, site.sub, motion)
+    return _Expected(effects.through(setup.posterior), effects.own(setup.posterior), noise)
 
 
 _FURTHER: tuple[tuple[str, int, float | None], ...] = (
@@ -122,26 +132,23 @@ _FURTHER: tuple[tuple[str, int, float | None], ...] = (
     ("slide the rig along the viewing axis, by 5 mm both ways", 5, 5.0),
 )
 """What to do, the axis it moves along, and how far (rad or mm); None is twice what was made."""
-_DISC_NOISE_PX = 0.005
-_WORTHWHILE = 0.7
+_WORTHWHILE = 0.8
 
 
-def further_motion(setup: Setup, limits: QualityLimits) -> str | None:
+def further_motion(setup: Setup, site: Site) -> str | None:
     """Say which further motion would sharpen the worst drift correction most, or None.
 
-    Each candidate is added to the calibration as two positions either way, seen with the
-    reference's own pose noise (a Kalman update of model and reference).
+    Each candidate is added to the calibration as two positions either way, seen as the rows
+    are, with the target at rest (a Kalman update of all that the calibration knows).
     """
-    amounts = [limits.expected_drift_mrad * 1e-3] * 3 + [limits.expected_drift_mm] * 3
-    drifts = [_along(axis, amount) for axis, amount in enumerate(amounts)]
-    covariance = setup.model_covariance
-    now = [_sigma_mm(setup, drift, covariance) for drift in drifts]
+    drifts = [_expect(setup, site, motion) for motion in drift_motions(site.quality)]
+    now = [drift.sigma_mm(setup) for drift in drifts]
     turn = 2.0 * setup.levels.max_rotation_rad
     best, words = max(now), ""
     for text, axis, amount in _FURTHER:
         step = turn if amount is None else amount
-        updated = _with_positions(setup, covariance, [_along(axis, step), _along(axis, -step)] * 2)
-        worst = max(_sigma_mm(setup, drift, updated) for drift in drifts)
+        knowledge = _with_positions(setup, site, [_along(axis, step), _along(axis, -step)])
+        worst = max(drift.sigma_mm(setup, knowledge) for drift in drifts)
         if worst < best:
             best, words = worst, text.format(mrad=turn * 1e3)
     if not words or best > _WORTHWHILE * max(now):
@@ -152,30 +159,25 @@ def further_motion(setup: Setup, limits: QualityLimits) -> str | None:
     )
 
 
+def _with_positions(setup: Setup, site: Site, motions: Sequence[Pose]) -> FloatArray:
+    """(r, r) what is left of the posterior's columns after two views of each further position."""
+    information = np.eye(setup.posterior.lens.shape[1])
+    for motion in motions:
+        seen = _expect(setup, site, motion)
+        weighted = np.linalg.solve(seen.noise_px2 + seen.own_px2, seen.through)
+        information += 2.0 * seen.through.T @ weighted
+    return np.asarray(np.linalg.inv(information))
+
+
 def _along(axis: int, amount: float) -> Pose:
     vector = np.zeros(6)
     vector[axis] = amount
     return Pose.from_vectors(vector[:3], vector[3:])
 
 
-def _with_positions(setup: Setup, covariance: FloatArray, motions: Sequence[Pose]) -> FloatArray:
-    """The covariance after the rig has been seen at further positions."""
-    middle = setup.reference_discs_px[np.isfinite(setup.reference_discs_px).all(axis=1)]
-    still = predict_shift(setup.model, middle, Pose.identity())
-    by_pose = still.by_motion.mean(axis=0)
-    pose_noise = covariance[-6:, -6:]
-    for motion in motions:
-        jacobian = _change_jacobian(setup, motion)
-        noise = _DISC_NOISE_PX**2 * np.eye(2) + by_pose @ pose_noise @ by_pose.T
-        gain = np.linalg.solve(jacobian @ covariance @ jacobian.T + noise, jacobian @ covariance)
-        covariance = covariance - covariance @ jacobian.T @ gain
-    return covariance
-
-
-def determined_share(setup: Setup, prior_sigma: FloatArray) -> FloatArray:
+def determined_share(posterior: Posterior, prior_sigma: FloatArray) -> FloatArray:
     """(8,) how far the views, not the priors, determine each rig parameter: 1 - (post/prior)^2."""
-    posterior = np.diag(setup.model_covariance)[: len(prior_sigma)]
-    return np.asarray(np.clip(1.0 - posterior / prior_sigma**2, 0.0, 1.0))
+    return np.asarray(np.clip(1.0 - (posterior.model_sigma / prior_sigma) ** 2, 0.0, 1.0))
 
 
 def model_sentence(model: Rig | PaperModel) -> str:

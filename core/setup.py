@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from core.adjustment import SHAPE_PARAMETERS, shape_terms
 from core.board import Board
+from core.board_shape import shape_terms
 from core.lens import Lens, LensModel
 from core.paper import PaperModel
 from core.pose import Pose
+from core.posterior import Posterior
 from core.rig import Rig
 from core.site import CheckerboardTarget, FloatArray
 
@@ -46,15 +47,9 @@ class Setup:
     B: FloatArray
     """(2, 2) B~ of Eq. 8, px/mm."""
     model: Rig | PaperModel
-    covariance: FloatArray
-    """Of lens (its size), board shape (13), model (8 or 9), reference pose (6)."""
+    posterior: Posterior
+    """How far all of this can be trusted."""
     levels: Levels
-
-    @property
-    def model_covariance(self) -> FloatArray:
-        """Of model (8 or 9) and reference pose (6)."""
-        start = self.lens.size + SHAPE_PARAMETERS
-        return self.covariance[start:, start:]
 
     @property
     def shape_terms(self) -> FloatArray:
@@ -76,7 +71,7 @@ class Setup:
             "reference_discs_px": discs,
             "B": self.B.tolist(),
             "model": _model_to_dict(self.model),
-            "covariance": self.covariance.tolist(),
+            "posterior": self.posterior.to_dict(),
             "levels": {name: getattr(self.levels, name) for name in Levels.__slots__},
         }
 
@@ -93,7 +88,7 @@ class Setup:
             np.array(discs, dtype=float),
             np.array(data["B"]),
             _model_from_dict(data["model"]),
-            np.array(data["covariance"]),
+            Posterior.from_dict(data["posterior"]),
             Levels(**data["levels"]),
         )
 

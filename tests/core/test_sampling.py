@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from core.adjustment import pose_sensitivity, shape_terms
+from core.board_shape import board_terms, shape_terms
 from core.compensation import corrected_displacement
 from core.lens import Lens
 from core.pose import Pose
+from core.propagation import pose_follows
 from core.resection import BoardView, resect
 from core.rig import Rig
 from core.site import FloatArray
@@ -30,9 +31,12 @@ def trials() -> dict[str, FloatArray]:
         truth = draw(rng)
         setup, _ = calibrated(truth, rng)
         assert isinstance(setup.model, Rig)
-        sigma = np.sqrt(np.diag(setup.covariance))
-        lens.append(((setup.lens.parameters - truth.lens.parameters) / sigma[:10])[FREE_LENS])
-        rig.append(setup.model.deviation_from(truth.rig) / sigma[23:31])
+        posterior = setup.posterior
+        lens.append(
+            (setup.lens.parameters - truth.lens.parameters)[FREE_LENS]
+            / posterior.lens_sigma[FREE_LENS]
+        )
+        rig.append(setup.model.deviation_from(truth.rig) / posterior.model_sigma)
         for _ in range(4):
             motion = Pose.from_vectors(rng.uniform(-1e-3, 1e-3, 3), rng.uniform(-1.5, 1.5, 3))
             moved_mm = rng.uniform(-5.0, 5.0, 2)
@@ -74,7 +78,7 @@ def test_the_views_teach_what_the_drawing_does_not() -> None:
     rng = np.random.default_rng(0)
     truth = draw(rng)
     setup, adjusted = calibrated(truth, rng)
-    sigma = np.sqrt(np.diag(setup.covariance))[23:31]
+    sigma = setup.posterior.model_sigma
     prior_rad = np.radians(SITE.rig.rotation_sigma_deg)
     assert sigma[2] < 0.5 * prior_rad
     assert np.all(sigma <= 1.001 * np.array([prior_rad] * 3 + [3.0] * 3 + [20 / 11000, 2e-3]))
@@ -83,15 +87,14 @@ def test_the_views_teach_what_the_drawing_does_not() -> None:
 
 
 def test_pose_follows_lens_and_board_as_predicted() -> None:
-    """`pose_sensitivity` against poses fitted anew with each parameter changed."""
+    """`pose_follows` against poses fitted anew with each parameter changed."""
     rng = np.random.default_rng(3)
     truth = draw(rng)
-    terms = shape_terms(BOARD)
     px = truth.lens.project(truth.reference.apply(truth.corners_mm))
     n = len(px)
     view = BoardView(np.arange(n), px, np.tile(0.01**2 * np.eye(2), (n, 1, 1)))
-    by_lens_shape, by_offset = pose_sensitivity(
-        truth.lens, truth.reference, truth.corners_mm, terms, view, view.whitening()
+    by_lens, by_corners = pose_follows(
+        truth.lens, truth.reference, truth.corners_mm, view, view.whitening(), np.eye(6)
     )
 
     def fitted(lens: Lens, corners_mm: FloatArray) -> FloatArray:
@@ -100,18 +103,17 @@ def test_pose_follows_lens_and_board_as_predicted() -> None:
         return np.concatenate([turn, pose.t_mm - truth.reference.t_mm])
 
     numeric = by_differences(
-        lambda d: fitted(Lens(truth.lens.parameters + d[:10]), truth.corners_mm + terms @ d[10:]),
-        np.array([1e-2] * 5 + [1e-5] * 5 + [1e-6] * 3 + [1e-4] * 10),
+        lambda d: fitted(truth.lens.moved(d), truth.corners_mm),
+        np.array([1e-2] * 5 + [1e-5] * 5),
     )
-    scale = np.abs(numeric).max(axis=0)
-    assert np.all(np.abs(by_lens_shape - numeric) < 1e-3 * scale + 1e-12)
+    assert np.all(np.abs(by_lens - numeric) < 1e-3 * np.abs(numeric).max(axis=0) + 1e-12)
     corner = 17
-    shift = np.zeros((n, 3, 2))
-    shift[corner, 0, 0] = shift[corner, 1, 1] = 1.0
+    shift = np.zeros((n, 3, 3))
+    shift[corner] = np.eye(3)
     numeric = by_differences(
-        lambda d: fitted(truth.lens, truth.corners_mm + shift @ d), np.full(2, 1e-5)
+        lambda d: fitted(truth.lens, truth.corners_mm + shift @ d), np.full(3, 1e-5)
     )
-    assert np.all(np.abs(by_offset[:, corner] - numeric) < 1e-3 * np.abs(numeric).max() + 1e-12)
+    assert np.all(np.abs(by_corners[:, corner] - numeric) < 1e-3 * np.abs(numeric).max() + 1e-12)
 
 
 def test_shape_terms_are_scale_and_bow() -> None:
@@ -124,3 +126,13 @@ def test_shape_terms_are_scale_and_bow() -> None:
     bowed = terms @ np.eye(13)[3]
     assert np.abs(bowed[:, :2]).max() == 0.0
     assert bowed[:, 2].max() == pytest.approx(1.0)
+
+
+def test_lines_are_columns_and_rows() -> None:
+    """A column's error moves all its corners sideways, a row's all its corners down."""
+    terms = board_terms(BOARD)[:, :, 13:]
+    assert terms.shape == (len(BOARD.corners_mm), 3, BOARD.columns + BOARD.rows)
+    third_column, second_row = terms[:, 0, 2], terms[:, 1, BOARD.columns + 1]
+    assert np.array_equal(third_column, BOARD.corners_mm[:, 0] == 3 * BOARD.square_mm)
+    assert np.array_equal(second_row, BOARD.corners_mm[:, 1] == 2 * BOARD.square_mm)
+    assert terms.sum() == 2 * len(BOARD.corners_mm)

@@ -1,0 +1,312 @@
+"""The normal equations of the adjustment: what each view and each prior adds, and their inverse.
+
+The corners' own offsets, some thousand, are eliminated corner by corner (Schur complement), so
+that a step solves a dense system of a few hundred unknowns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from core.board import Board
+from core.board_shape import SHAPE_PARAMETERS, shape_sigmas
+from core.lens import Lens
+from core.pose import Pose
+from core.posterior import Posterior
+from core.resection import BoardView, pose_jacobian, robust_scale, robust_weights
+from core.rig import RIG_PARAMETERS, MainView, Rig, rig_residuals
+from core.site import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class AdjustmentPriors:
+    """1-sigma priors; 0 keeps the parameter where it is."""
+
+    lens: FloatArray
+    """(lens parameters,) about the start values, in the lens's units."""
+    scale: float = 1.0e-3
+    """Print scale in x and y, and shear."""
+    bow_mm: tuple[float, float, float] = (0.1, 0.03, 0.03)
+    """Bow terms of second, third and fourth degree at the board's edge."""
+    line_mm: float = 0.01
+    """Place of each printed line: where the estimate of this spread starts; 0 for perfect ones."""
+    corner_mm: float = 0.01
+    """In-plane offset of each corner from its lines, likewise."""
+    rig: FloatArray = field(default_factory=lambda: np.zeros(RIG_PARAMETERS))
+    """(8,) about the rig as drawn, see core.rig."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spreads:
+    """1-sigma departures of a print from the nominal board; 0 keeps them nominal."""
+
+    column_mm: float
+    """x of each column of corners, as one."""
+    row_mm: float
+    """y of each row."""
+    corner_mm: float
+    """x and y of each corner, beyond its column and row."""
+
+    def like(self, other: Spreads, share: float) -> bool:
+        """Whether all agree to this share."""
+        mine = np.array([self.column_mm, self.row_mm, self.corner_mm])
+        theirs = np.array([other.column_mm, other.row_mm, other.corner_mm])
+        return bool(np.all(np.abs(mine - theirs) <= share * mine))
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Where the adjustment stands."""
+
+    lens: Lens
+    shape: FloatArray
+    """(13 + columns + rows,) in the order of `core.board_shape.board_terms`."""
+    offsets_mm: FloatArray
+    """(corners, 2)."""
+    poses: tuple[Pose, ...]
+    rig: Rig | None
+    corners_mm: FloatArray
+    """(corners, 3) the board as estimated."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """Where each group of unknowns stands in the dense system."""
+
+    lens_size: int
+    shape_size: int
+    views: int
+
+    @property
+    def lens(self) -> slice:
+        return slice(0, self.lens_size)
+
+    @property
+    def shape(self) -> slice:
+        return slice(self.lens_size, self.lens_size + self.shape_size)
+
+    @property
+    def lines(self) -> slice:
+        return slice(self.lens_size + SHAPE_PARAMETERS, self.shape.stop)
+
+    @property
+    def rig(self) -> slice:
+        return slice(self.shape.stop, self.shape.stop + RIG_PARAMETERS)
+
+    def pose(self, view: int) -> slice:
+        start = self.rig.stop + 6 * view
+        return slice(start, start + 6)
+
+    @property
+    def size(self) -> int:
+        return int(self.rig.stop + 6 * self.views)
+
+
+@dataclass(slots=True)
+class System:
+    """Normal equations, the corner offsets still apart."""
+
+    dense: FloatArray
+    right: FloatArray
+    cross: FloatArray
+    """(corners, 2, size)."""
+    corner: FloatArray
+    """(corners, 2, 2)."""
+    corner_right: FloatArray
+    """(corners, 2)."""
+    scale: float = 1.0
+    view_rms: list[float] = field(default_factory=list)
+    view_kept: list[float] = field(default_factory=list)
+    main_rms: float = 0.0
+
+    def reduced(self) -> FloatArray:
+        """The dense normal matrix with the corner offsets eliminated."""
+        weighted = np.linalg.solve(self.corner, self.cross)
+        size = len(self.dense)
+        flat, weighted_flat = self.cross.reshape(-1, size), weighted.reshape(-1, size)
+        return self.dense - flat.T @ weighted_flat
+
+    def solve(self) -> tuple[FloatArray, FloatArray]:
+        """Step of the dense unknowns and of the corner offsets."""
+        inverse_right = np.linalg.solve(self.corner, self.corner_right[:, :, None])[:, :, 0]
+        right = self.right - np.einsum("cas,ca->s", self.cross, inverse_right)
+        reduced = self.reduced()
+        unit = 1.0 / np.sqrt(np.diag(reduced))
+        step = unit * np.linalg.solve(reduced * unit[:, None] * unit, right * unit)
+        rest = self.corner_right - self.cross @ step
+        return step, np.linalg.solve(self.corner, rest[:, :, None])[:, :, 0]
+
+    def factor(self) -> FloatArray:
+        """F (size, size) with F F^T the covariance of the dense unknowns."""
+        reduced = self.reduced()
+        unit = 1.0 / np.sqrt(np.diag(reduced))
+        root = np.linalg.cholesky(reduced * unit[:, None] * unit)
+        inverse = np.linalg.solve(root, np.eye(len(root)))
+        return np.asarray(self.scale * unit[:, None] * inverse.T)
+
+
+class Problem:
+    """What stays the same over the iterations."""
+
+    def __init__(
+        self,
+        board: Board,
+        terms: FloatArray,
+        views: Sequence[BoardView],
+        start: State,
+        priors: AdjustmentPriors,
+        main_views: Sequence[MainView | None],
+    ) -> None:
+        self.board, self.terms, self.views, self.start = board, terms, views, start
+        self.main_views = main_views
+        self.whitening = [view.whitening() for view in views]
+        self.layout = _Layout(start.lens.size, terms.shape[2], len(views))
+        layout = self.layout
+        sigma = np.full(layout.size, np.inf)
+        sigma[layout.lens], sigma[layout.rig] = priors.lens, priors.rig
+        shape = shape_sigmas(priors.scale, priors.bow_mm)
+        lines = np.full(terms.shape[2] - len(shape), priors.line_mm)
+        sigma[layout.shape] = np.concatenate([shape, lines])
+        self.sigma = sigma
+        self.step_unit = np.where(np.isfinite(sigma) & (sigma > 0), sigma, 1.0) * 1e-3
+
+    def linearise(self, state: State, scale: float, spreads: Spreads) -> System:
+        """Sum up what all views and priors say about a step from this state."""
+        size, corners = self.layout.size, len(self.board.corners_mm)
+        system = System(
+            np.zeros((size, size)),
+            np.zeros(size),
+            np.zeros((corners, 2, size)),
+            np.zeros((corners, 2, 2)),
+            np.zeros((corners, 2)),
+        )
+        norms = [self._add_board_view(system, state, v, scale) for v in range(len(self.views))]
+        system.scale = robust_scale(np.concatenate(norms))
+        self._add_lines(system)
+        self._add_main_views(system, state)
+        self._add_priors(system, state, spreads)
+        return system
+
+    def _add_board_view(self, system: System, state: State, v: int, scale: float) -> FloatArray:
+        """Add one view's corners; their whitened residual norms come back."""
+        view, layout = self.views[v], self.layout
+        projected, by_pose, by_point, by_lens = pose_jacobian(
+            state.lens, state.poses[v], state.corners_mm[view.index]
+        )
+        residual = view.points_px - projected
+        white = (self.whitening[v] @ residual[:, :, None])[:, :, 0]
+        norm = np.hypot(white[:, 0], white[:, 1])
+        weights = robust_weights(norm / scale)
+        whiten = self.whitening[v] * np.sqrt(weights)[:, None, None]
+        white *= np.sqrt(weights)[:, None]
+        by_shape = by_point @ self.terms[view.index, :, :SHAPE_PARAMETERS]
+        local = whiten @ np.concatenate([by_lens, by_shape, by_pose], axis=2)
+        by_offset = whiten @ by_point[:, :, :2]
+        columns = np.r_[: layout.lines.start, layout.pose(v)]
+        flat = local.reshape(-1, len(columns))
+        system.dense[np.ix_(columns, columns)] += flat.T @ flat
+        system.right[columns] += flat.T @ white.ravel()
+        turned = by_offset.transpose(0, 2, 1)
+        cross, pose = turned @ local, layout.pose(v)
+        system.cross[view.index, :, : layout.lines.start] += cross[:, :, :-6]
+        system.cross[view.index, :, pose.start : pose.stop] += cross[:, :, -6:]
+        system.corner[view.index] += turned @ by_offset
+        system.corner_right[view.index] += (turned @ white[:, :, None])[:, :, 0]
+        squares = weights * (residual**2).sum(axis=1) / 2.0
+        system.view_kept.append(float(weights.mean()))
+        system.view_rms.append(float(np.sqrt(squares.sum() / weights.sum())))
+        return norm
+
+    def _add_lines(self, system: System) -> None:
+        """What the views say of a line is what they say of the offsets of all corners on it."""
+        lines, size = self.layout.lines, self.layout.size
+        along = self.terms[:, :2, SHAPE_PARAMETERS:]
+        system.cross[:, :, lines] = system.corner @ along
+        flat = along.reshape(-1, along.shape[2])
+        system.dense[lines] = flat.T @ system.cross.reshape(-1, size)
+        system.dense[:, lines] = system.dense[lines].T
+        system.right[lines] = flat.T @ system.corner_right.ravel()
+
+    def _add_main_views(self, system: System, state: State) -> None:
+        if state.rig is None:
+            return
+        squares, count, layout = 0.0, 0, self.layout
+        for v, main in enumerate(self.main_views):
+            if v == 0 or main is None:
+                continue
+            residual, by_rig, by_pose, by_reference = rig_residuals(
+                state.rig, main, state.poses[v], state.poses[0]
+            )
+            squares, count = squares + float((residual**2).sum()), count + residual.size
+            norm = np.hypot(residual[:, 0], residual[:, 1]) / main.sigma_px
+            root = np.sqrt(robust_weights(norm / max(1.0, float(np.median(norm)))))
+            root = root[:, None] / main.sigma_px * system.scale
+            columns = np.r_[layout.rig, layout.pose(v), layout.pose(0)]
+            local = np.concatenate([by_rig, by_pose, by_reference], axis=2) * root[:, :, None]
+            flat = local.reshape(-1, len(columns))
+            system.dense[np.ix_(columns, columns)] += flat.T @ flat
+            system.right[columns] += flat.T @ (residual * root).ravel()
+        system.main_rms = float(np.sqrt(squares / count)) if count else 0.0
+
+    def _add_priors(self, system: System, state: State, spreads: Spreads) -> None:
+        layout = self.layout
+        deviation = np.zeros(layout.size)
+        deviation[layout.lens] = self.start.lens.parameters - state.lens.parameters
+        deviation[layout.shape] = -state.shape
+        if state.rig is not None and self.start.rig is not None:
+            deviation[layout.rig] = state.rig.deviation_from(self.start.rig)
+        sigma = self.sigma.copy()
+        columns = self.board.columns
+        sigma[layout.lines][:columns] = spreads.column_mm
+        sigma[layout.lines][columns:] = spreads.row_mm
+        # The corners' residuals are weighted by their predicted size; priors are in true units.
+        weight = np.where(sigma > 0, system.scale**2 / np.maximum(sigma, 1e-12) ** 2, 0.0)
+        system.dense[np.diag_indices(layout.size)] += weight
+        system.right += weight * deviation
+        fixed = sigma == 0
+        system.dense[fixed, :] = 0.0
+        system.dense[:, fixed] = 0.0
+        system.dense[fixed, fixed] = 1e12
+        system.right[fixed] = 0.0
+        system.cross[:, :, fixed] = 0.0
+        corner_sigma = max(spreads.corner_mm, 1e-9)
+        system.corner += np.eye(2) * (system.scale / corner_sigma) ** 2
+        system.corner_right -= state.offsets_mm * (system.scale / corner_sigma) ** 2
+
+    def line_variance(self, system: System) -> FloatArray:
+        """(columns + rows,) mm^2, of the lines' places."""
+        return np.asarray((system.factor()[self.layout.lines] ** 2).sum(axis=1))
+
+    def posterior(self, system: System) -> Posterior:
+        """The joint covariance of lens, rig, first pose and corners.
+
+        With F the factor of the dense unknowns, X and C the cross and corner blocks, the offsets
+        are -C^-1 X F and an own part of covariance C^-1; the corners are these and the shape.
+        """
+        layout = self.layout
+        factor = system.factor()
+        corners = self.terms @ factor[layout.shape]
+        corners[:, :2] -= np.linalg.solve(system.corner, system.cross @ factor)
+        own = np.linalg.inv(system.corner) * system.scale**2
+        return Posterior(
+            factor[layout.lens], factor[layout.rig], factor[layout.pose(0)], corners, own
+        )
+
+    def step(self, state: State, step: FloatArray, offset_step: FloatArray) -> State:
+        """The state after a step."""
+        layout = self.layout
+        shape = state.shape + step[layout.shape]
+        offsets = state.offsets_mm + offset_step
+        corners = self.board.corners_mm + self.terms @ shape
+        corners[:, :2] += offsets
+        return State(
+            state.lens.moved(step[layout.lens]),
+            shape,
+            offsets,
+            tuple(pose.perturbed(step[layout.pose(v)]) for v, pose in enumerate(state.poses)),
+            None if state.rig is None else state.rig.perturbed(step[layout.rig]),
+            corners,
+        )
