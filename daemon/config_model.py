@@ -27,7 +27,7 @@ from daemon.config_site import (
     TargetsSection,
 )
 from daemon.schedule import Schedule
-from drivers.protocols import Role
+from drivers.protocols import HeadSettings, LineOut, Role, TriggerIn
 from drivers.sim.settings import (
     AsBuilt,
     Motion,
@@ -37,6 +37,10 @@ from drivers.sim.settings import (
     Sensor,
     SimSettings,
 )
+
+HeadBackend = Literal["ptu", "pelco-d", "simulated"]
+Angle = Annotated[float, Field(ge=-179.99, le=179.99)]
+AnglePair = Annotated[tuple[Angle, Angle], Strict(strict=False)]
 
 DEFAULT_STATE_DIRECTORY = Path("/var/lib/dcam")
 
@@ -68,9 +72,73 @@ class ExposureSection(Section):
 
 
 class TriggerSection(Section):
-    """`[trigger]`: the software trigger of both cameras."""
+    """`[trigger]`: both cameras by software, or the sub-camera by a line of the main camera's."""
 
+    mode: Literal["software", "hardware"] = "software"
     timeout_s: float = Field(default=2.0, gt=0, le=60.0)
+    main_output_line: str = Field(default="Line2", min_length=1)
+    main_output_source: str = Field(default="ExposureActive", min_length=1)
+    sub_input_line: str = Field(default="Line3", min_length=1)
+    sub_edge: Literal["rising", "falling"] = "rising"
+
+    def line_out(self, role: Role) -> LineOut | None:
+        """What a camera shows on its line; None leaves its lines alone."""
+        if self.mode == "software" or role == "sub":
+            return None
+        return LineOut(self.main_output_line, self.main_output_source)
+
+    def line_in(self, role: Role) -> TriggerIn | None:
+        """The line that triggers a camera; None for the software trigger."""
+        if self.mode == "software" or role == "main":
+            return None
+        rising = self.sub_edge == "rising"
+        return TriggerIn(self.sub_input_line, "RisingEdge" if rising else "FallingEdge")
+
+
+class GenicamSection(Section):
+    """`[genicam]`: the vendor's library behind `backend = "harvesters"`."""
+
+    producer: Directory | None = None
+
+
+class PanTiltSection(Section):
+    """`[pan_tilt]`: the head that turns the rig for a calibration."""
+
+    backend: HeadBackend | None = None
+    port: str | None = Field(default=None, min_length=1)
+    baud: int | None = Field(default=None, ge=300, le=921_600)
+    address: int = Field(default=1, ge=1, le=255)
+    reports_position: bool = True
+    pan_limits_deg: AnglePair = (-5.0, 5.0)
+    tilt_limits_deg: AnglePair = (-5.0, 5.0)
+    home_deg: AnglePair = (0.0, 0.0)
+    speed_deg_s: float | None = Field(default=None, gt=0, le=200.0)
+    speed_level: int = Field(default=1, ge=1, le=63)
+    tolerance_deg: float = Field(default=0.05, gt=0, le=5.0)
+    answer_timeout_s: float = Field(default=1.0, gt=0, le=60.0)
+    move_timeout_s: float = Field(default=60.0, gt=0, le=600.0)
+
+    @property
+    def is_serial(self) -> bool:
+        """Whether there is a head at a port."""
+        return self.backend in {"ptu", "pelco-d"}
+
+    def settings(self) -> HeadSettings:
+        """Convert to the drivers' type."""
+        return HeadSettings(
+            pan_limits_deg=self.pan_limits_deg,
+            tilt_limits_deg=self.tilt_limits_deg,
+            speed_deg_s=self.speed_deg_s,
+            tolerance_deg=self.tolerance_deg,
+            answer_timeout_s=self.answer_timeout_s,
+            move_timeout_s=self.move_timeout_s,
+        )
+
+    def room_deg(self) -> tuple[float, float]:
+        """How far pan and tilt may go from home, either way."""
+        axes = zip(self.home_deg, (self.pan_limits_deg, self.tilt_limits_deg), strict=True)
+        pan_deg, tilt_deg = (min(home - low, high - home) for home, (low, high) in axes)
+        return pan_deg, tilt_deg
 
 
 class StorageSection(Section):
@@ -125,6 +193,7 @@ class SimulationSection(Section):
     haze_mm: float = Field(default=0.3, ge=0, le=100.0)
     as_built_scale: float = Field(default=1.0, ge=0, le=10.0)
     noise: bool = True
+    head_angles: Directory | None = None
 
     def settings(self) -> SimSettings:
         """Convert to the simulated rig's type."""
@@ -158,6 +227,8 @@ class Config(Section):
     schedule: ScheduleSection = ScheduleSection()
     exposure: ExposureSection = ExposureSection()
     trigger: TriggerSection = TriggerSection()
+    genicam: GenicamSection = GenicamSection()
+    pan_tilt: PanTiltSection = PanTiltSection()
     quality: QualitySection = QualitySection()
     storage: StorageSection = StorageSection()
     log: LogSection = LogSection()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING, Literal, cast
 
 from daemon.config_model import Config
-from daemon.errors import ConfigError
+from daemon.errors import ConfigError, HardwareError
 from drivers.clock import SteppedClock, SystemClock
 from drivers.pair import SynchronizedPair
 from drivers.protocols import Camera, CameraSettings, Clock, FramePairSource, PanTiltHead, Role
@@ -15,11 +16,16 @@ from drivers.protocols import Camera, CameraSettings, Clock, FramePairSource, Pa
 if TYPE_CHECKING:
     from drivers.sim.world import World
 
-Built = Literal["aravis", "simulated", "replay"]
+Built = Literal["aravis", "harvesters", "simulated", "replay"]
 """The backends that this version has."""
 
-_BUILT = ("aravis", "simulated", "replay")
+_BUILT = ("aravis", "harvesters", "simulated", "replay")
 _ROLES: tuple[Role, Role] = ("main", "sub")
+
+OpenCamera = Callable[[str, CameraSettings, Role], Camera]
+"""Makes a camera of its serial number, settings and role."""
+_BAUD = {"ptu": 9600, "pelco-d": 2400, "simulated": 9600}
+"""As most heads leave the factory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,32 +37,38 @@ class SimulatedRig:
     head: PanTiltHead
 
 
+@dataclass(frozen=True, slots=True)
+class CalibrationRig:
+    """What turns and sees during a calibration."""
+
+    source: FramePairSource
+    head: PanTiltHead
+    hold_board: Callable[[int | None], None] | None
+    """Brings the board into pose n before the sub-camera, and back with None; None where only
+    a person can."""
+
+
 def require_backend(config: Config) -> Built:
     """Give the backend of both cameras. Raises ConfigError: which key to set to what."""
     for role in _ROLES:
         backend = config.camera.of(role).backend
         if backend is None:
             raise _wrong(config, f"camera.{role}.backend", f"not set; use {' or '.join(_BUILT)}")
-        if backend not in _BUILT:
-            raise _wrong(
-                config, f"camera.{role}.backend", f"{backend} is not in this version; use aravis"
-            )
     main, sub = config.camera.main.backend, config.camera.sub.backend
     if main != sub:
         raise _wrong(config, "camera.sub.backend", f"{sub}, but the main camera's is {main}")
-    if main == "aravis":
-        _require_serials(config)
+    if main in {"aravis", "harvesters"}:
+        _require_serials(config, main)
     if main == "replay" and config.replay.directory is None:
         raise _wrong(config, "replay.directory", "not set; name the frame set to play")
     return cast("Built", main)
 
 
-def _require_serials(config: Config) -> None:
+def _require_serials(config: Config, backend: str) -> None:
     for role in _ROLES:
         if config.camera.of(role).serial is None:
-            raise _wrong(
-                config, f"camera.{role}.serial", "not set; aravis finds a camera by its serial"
-            )
+            problem = f"not set; {backend} finds a camera by its serial"
+            raise _wrong(config, f"camera.{role}.serial", problem)
     serial = config.camera.sub.serial
     if serial == config.camera.main.serial:
         raise _wrong(config, "camera.sub.serial", f"{serial} is the main camera's as well")
@@ -97,12 +109,9 @@ def open_pair_source(config: Config, clock: Clock) -> FramePairSource:
         return ReplaySource(config.replay.directory)
     if backend == "simulated":
         return open_simulated_rig(config, clock).source
-    from drivers.aravis import AravisCamera
-    from drivers.aravis_device import load_aravis
-
-    load_aravis()  # a library that is not installed is told at once, not at every slot
+    open_camera = _harvesters(config) if backend == "harvesters" else _aravis()
     main, sub = (
-        AravisCamera(str(config.camera.of(role).serial), camera_settings(config, role), role)
+        open_camera(str(config.camera.of(role).serial), camera_settings(config, role), role)
         for role in _ROLES
     )
     return _pair(main, sub, config, clock)
@@ -115,10 +124,79 @@ def open_simulated_rig(config: Config, clock: Clock) -> SimulatedRig:
     from drivers.sim.world import World
 
     world = World(config.site(), config.simulation.settings())
+    head: PanTiltHead = SimulatedHead(world)
+    if config.pan_tilt.is_serial:
+        from drivers.sim.head_angles import AnglesAsker
+
+        if config.simulation.head_angles is None:
+            problem = "not set; the simulated rig would not follow the head at pan_tilt.port"
+            raise _wrong(config, "simulation.head_angles", problem)
+        head = open_head(config)
+        world.follow_head(_from_home(AnglesAsker(config.simulation.head_angles), config))
     main, sub = (
         SimulatedCamera(world, role, clock, config.camera.of(role).serial or "") for role in _ROLES
     )
-    return SimulatedRig(world, _pair(main, sub, config, clock), SimulatedHead(world))
+    return SimulatedRig(world, _pair(main, sub, config, clock), head)
+
+
+def _from_home(
+    angles_deg: Callable[[], tuple[float, float]], config: Config
+) -> Callable[[], tuple[float, float]]:
+    """The simulated rig is aimed at its targets when its head is at home."""
+    home = config.pan_tilt.home_deg
+
+    def from_home() -> tuple[float, float]:
+        pan_deg, tilt_deg = angles_deg()
+        return pan_deg - home[0], tilt_deg - home[1]
+
+    return from_home
+
+
+def open_calibration_rig(config: Config, clock: Clock) -> CalibrationRig:
+    """Give cameras and head for a calibration. Nothing is opened before it is needed.
+
+    Raises ConfigError, MissingLibraryError, HardwareError for cameras that no head can turn.
+    """
+    backend = require_backend(config)
+    if backend == "simulated":
+        rig = open_simulated_rig(config, clock)
+        return CalibrationRig(rig.source, rig.head, rig.world.hold_board)
+    if backend == "replay":
+        msg = "no pan-tilt head for backend replay, which plays what it has; use --from DIR"
+        raise HardwareError(msg)
+    if not config.pan_tilt.is_serial:
+        raise _wrong(config, "pan_tilt.backend", "not set; use ptu or pelco-d, or --from DIR")
+    return CalibrationRig(open_pair_source(config, clock), open_head(config), hold_board=None)
+
+
+def open_head(config: Config) -> PanTiltHead:
+    """Give the head at the configured port; it is opened when it is first needed.
+
+    Raises ConfigError.
+    """
+    from drivers.head_home import HomedHead
+    from drivers.pelco_d import PelcoHead, TimedPelcoHead
+    from drivers.ptu_ascii import PtuHead
+    from drivers.serial_line import SerialLine
+
+    section, settings = config.pan_tilt, config.pan_tilt.settings()
+    if section.port is None:
+        raise _wrong(config, "pan_tilt.port", "not set; see ls /dev/serial/by-id")
+    line = SerialLine(section.port, section.baud or _BAUD[section.backend or "ptu"])
+    head: PanTiltHead
+    if section.backend == "ptu":
+        head = PtuHead(line, settings)
+    elif section.reports_position:
+        head = PelcoHead(line, settings, section.address)
+    else:
+        if section.speed_deg_s is None:
+            problem = "not set; a head that reports no position is moved by time, at its true speed"
+            raise _wrong(config, "pan_tilt.speed_deg_s", problem)
+        if section.home_deg != (0.0, 0.0):
+            problem = "must be [0, 0]: a head that reports no position counts from where it stands"
+            raise _wrong(config, "pan_tilt.home_deg", problem)
+        head = TimedPelcoHead(line, settings, section.address, section.speed_level)
+    return head if section.home_deg == (0.0, 0.0) else HomedHead(head, section.home_deg)
 
 
 def camera_settings(config: Config, role: Role) -> CameraSettings:
@@ -132,8 +210,31 @@ def camera_settings(config: Config, role: Role) -> CameraSettings:
         gain_db=exposure.main_gain_db if is_main else exposure.sub_gain_db,
         pixel_format=camera.pixel_format,
         packet_size_bytes=camera.packet_size_bytes,
+        trigger=config.trigger.line_in(role),
+        line_out=config.trigger.line_out(role),
     )
 
 
+def _aravis() -> OpenCamera:
+    from drivers.aravis import AravisCamera
+    from drivers.aravis_device import load_aravis
+
+    load_aravis()  # a library that is not installed is told at once, not at every slot
+    return AravisCamera
+
+
+def _harvesters(config: Config) -> OpenCamera:
+    from drivers.gentl import GentlCamera, find_producer
+
+    producer = find_producer(config.genicam.producer)
+    return lambda serial, settings, role: GentlCamera(serial, settings, producer, role)
+
+
 def _pair(main: Camera, sub: Camera, config: Config, clock: Clock) -> SynchronizedPair:
-    return SynchronizedPair(main, sub, clock, timeout_s=config.trigger.timeout_s)
+    return SynchronizedPair(
+        main,
+        sub,
+        clock,
+        timeout_s=config.trigger.timeout_s,
+        main_triggers_sub=config.trigger.mode == "hardware",
+    )

@@ -13,7 +13,7 @@ from typing import TypeVar
 import structlog
 
 from drivers.deadline import DeadlineThread
-from drivers.errors import DeviceError, DeviceLostError
+from drivers.errors import DeviceError, DeviceLostError, FrameTimeoutError
 from drivers.protocols import Camera, CapturedFrame, CapturedPair, Clock, Role
 
 _T = TypeVar("_T")
@@ -33,11 +33,12 @@ CLOSE_TIMEOUT_S = 5.0
 
 
 class SynchronizedPair:
-    """A main and a sub-camera with software triggers; implements `FramePairSource`.
+    """A main and a sub-camera, triggered at once; implements `FramePairSource`.
 
-    Each camera lives in a thread of its own. Both are opened and armed, meet, and are triggered at
-    once. A call that hangs is left behind with its thread at the deadline, and the camera is not
-    touched before the call returns; a lost camera is opened anew, with a growing pause between the
+    Each camera lives in a thread of its own. Both are opened and armed, meet, and are triggered by
+    software; or the main camera is, where `main_triggers_sub`, and its line triggers the other. A
+    call that hangs is left behind with its thread at the deadline, and the camera is not touched
+    before the call returns; a lost camera is opened anew, with a growing pause between the
     attempts, so that a dead one costs a slot its deadline at most, and usually nothing.
     """
 
@@ -50,8 +51,13 @@ class SynchronizedPair:
         timeout_s: float = 5.0,
         open_timeout_s: float = OPEN_TIMEOUT_S,
         grace_s: float = GRACE_S,
+        main_triggers_sub: bool = False,
     ) -> None:
-        self._lanes = (_Lane(main, "main", clock), _Lane(sub, "sub", clock))
+        self._lanes = (
+            _Lane(main, "main", clock),
+            _Lane(sub, "sub", clock, waits_for_line=main_triggers_sub),
+        )
+        self._main_triggers_sub = main_triggers_sub
         self._timeout_s = timeout_s
         self._open_timeout_s = open_timeout_s
         self._grace_s = grace_s
@@ -73,7 +79,11 @@ class SynchronizedPair:
             "the exposure",
             self._timeout_s + self._grace_s,
         )
-        skew_s = sub.trigger_monotonic_s - main.trigger_monotonic_s
+        # Through a line the sub-camera follows within microseconds, or not at all. The host sees
+        # neither edge, and the cameras' clocks do not agree: no number is better than a wrong one.
+        skew_s = None
+        if not self._main_triggers_sub:
+            skew_s = sub.trigger_monotonic_s - main.trigger_monotonic_s
         _log.debug("pair_captured", slot=slot_utc.isoformat(), skew_s=skew_s)
         return CapturedPair(main, sub, skew_s)
 
@@ -98,6 +108,9 @@ class SynchronizedPair:
                 results.append(lane.finish(future, what, timeout_s, deadline_s))
             except DeviceError as error:
                 errors.append(error)
+        if self._main_triggers_sub and len(errors) > 1:
+            # A main camera that did not expose is why the sub-camera saw no edge.
+            errors = [error for error in errors if not _is_unanswered(error, "sub")] or errors
         if len(errors) > 1:
             both = type(errors[0])(f"{errors[0]}; {errors[1]}", None)
             raise both from errors[0]
@@ -106,11 +119,18 @@ class SynchronizedPair:
         return results
 
 
+def _is_unanswered(error: DeviceError, role: Role) -> bool:
+    return isinstance(error, FrameTimeoutError) and error.role == role
+
+
 class _Lane:
     """One camera, its thread, and whether and when it may be used."""
 
-    def __init__(self, camera: Camera, role: Role, clock: Clock) -> None:
+    def __init__(
+        self, camera: Camera, role: Role, clock: Clock, *, waits_for_line: bool = False
+    ) -> None:
         self._camera = camera
+        self._waits_for_line = waits_for_line
         self._role: Role = role
         self._clock = clock
         self._thread: DeadlineThread | None = None
@@ -131,10 +151,13 @@ class _Lane:
         self._camera.arm()
 
     def shoot(self, meeting: threading.Barrier, timeout_s: float) -> CapturedFrame:
-        """Trigger together with the other camera, and fetch."""
+        """Trigger together with the other camera, or through it, and fetch."""
         with suppress(threading.BrokenBarrierError):  # the other camera is late: its skew will say
+            if self._waits_for_line:  # its frame is expected before the edge can come
+                self._camera.trigger()
             meeting.wait(MEET_S)
-        self._camera.trigger()
+        if not self._waits_for_line:
+            self._camera.trigger()
         return self._camera.fetch(timeout_s)
 
     # ------------------------------------------------------------ in the caller's thread

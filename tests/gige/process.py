@@ -30,6 +30,7 @@ class CameraProcess:
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._reader: threading.Thread | None = None
         self._sent = threading.Condition()
+        self._wires: dict[str, tuple[CameraProcess, int]] = {}
         self.frames: list[str] = []
         """Names of the images sent, over all restarts."""
 
@@ -49,16 +50,23 @@ class CameraProcess:
 
     def command(self, line: str) -> None:
         """Give the camera an order and wait until it obeys."""
-        assert self._process is not None
-        assert self._process.stdin is not None
-        self._process.stdin.write(line + "\n")
-        self._process.stdin.flush()
+        self._send(line)
         self._expect(f"done {line.split(maxsplit=1)[0]}")
 
     def wait_for_sent(self, n: int) -> None:
         """Wait until so many frames have been sent, over all restarts."""
         with self._sent:
             assert self._sent.wait_for(lambda: len(self.frames) >= n, ANSWER_S)
+
+    def wire(self, line: int, other: CameraProcess, other_line: int) -> None:
+        """Lay a wire from an output line to a line of another camera."""
+        self._wires[str(line)] = (other, other_line)
+
+    def _send(self, line: str) -> None:
+        assert self._process is not None
+        assert self._process.stdin is not None
+        self._process.stdin.write(line + "\n")
+        self._process.stdin.flush()
 
     def freeze(self) -> None:
         """Make it silent."""
@@ -92,6 +100,10 @@ class CameraProcess:
                 with self._sent:
                     self.frames.append(rest.split(" ", 1)[1])
                     self._sent.notify_all()
+            elif verb == "line":
+                if rest in self._wires:
+                    other, line_in = self._wires[rest]
+                    other._send(f"edge {line_in}")
             else:
                 self._lines.put(line.strip())
 

@@ -8,6 +8,9 @@ camera outlives the test that started it. Lines on stdin change its behaviour:
 
     lose 0.3     drop this share of the stream's packets
     late 0.4     let the next frame take this many seconds
+    edge 3       a rising edge arrives at this line (no answer)
+
+It says `line N` when it exposes and its line N shows that: the wire is whoever reads it.
 """
 
 from __future__ import annotations
@@ -39,6 +42,10 @@ OFFSET_X, OFFSET_Y, PIXEL_FORMAT = 0x130, 0x134, 0x128
 TEMPERATURE, REVERSE_X, FRAME_RATE_ENABLED, FRAME_RATE_AUTO = 0xB000, 0xB008, 0xB00C, 0xB010
 TRIGGER_SELECTOR, EXPOSURE_AUTO, EXPOSURE_TIME = 0xB014, 0xB01C, 0xB020
 GAIN_AUTO, GAIN, GAMMA_ENABLED, GAMMA = 0xB028, 0xB030, 0xB038, 0xB040
+TRIGGER_SOURCE, TRIGGER_ACTIVATION, LINE_MODE, LINE_SOURCE = 0xB048, 0xB04C, 0xB060, 0xB070
+WAITS_FOR_TRIGGER, FIRE = 0x304, 0x30C
+OUTPUT, EXPOSURE_ACTIVE, RISING_EDGE = 1, 1, 1
+LINES = range(4)
 
 BITS_OF_FORMAT = {0x01080001: 8, 0x01100003: 10, 0x01100005: 12, 0x01100007: 16}
 FILL_PATTERN = ctypes.CFUNCTYPE(
@@ -69,6 +76,7 @@ class FakeCamera:
         self._write({SENSOR_WIDTH: width, SENSOR_HEIGHT: height, WIDTH: width, HEIGHT: height})
         self._write({FRAME_RATE_ENABLED: 1, FRAME_RATE_AUTO: 2, EXPOSURE_AUTO: 2, GAIN_AUTO: 2})
         self._write({GAMMA_ENABLED: 1, TRIGGER_SELECTOR: 1, REVERSE_X: 1})
+        self._write({WAITS_FOR_TRIGGER: 1, TRIGGER_SOURCE: 0, LINE_MODE + 4: OUTPUT})
         self._write({EXPOSURE_TIME: 6118.0, GAIN: 12.5, GAMMA: 1.25, TEMPERATURE: 41.5})
 
     def _write(self, registers: dict[int, int | float]) -> None:
@@ -94,6 +102,16 @@ class FakeCamera:
         ctypes.memmove(target, data, len(data))
         _say(f"frame {self._frames} {name}")
         self._frames += 1
+        for line in LINES:
+            shows = self._register(LINE_SOURCE + 4 * line) == EXPOSURE_ACTIVE
+            if shows and self._register(LINE_MODE + 4 * line) == OUTPUT:
+                _say(f"line {line}")
+
+    def edge(self, line: int) -> None:
+        """A rising edge at a line: a trigger, if the camera listens to it."""
+        listens = self._register(TRIGGER_SOURCE) == line
+        if listens and self._register(TRIGGER_ACTIVATION) == RISING_EDGE:
+            self._write({FIRE: 1})
 
 
 def _say(line: str) -> None:
@@ -137,6 +155,9 @@ def _obey(camera: FakeCamera) -> None:
             camera.device.set_property("gvsp-lost-ratio", float(value))
         elif verb == "late":
             camera.late_s = float(value)
+        elif verb == "edge":
+            camera.edge(int(value))
+            continue
         else:
             sys.exit(f"{verb}: unknown command")
         _say(f"done {verb}")
