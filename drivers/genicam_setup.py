@@ -162,7 +162,8 @@ def _set_line_in(writer: _Writer, trigger: TriggerIn) -> None:
     """Listen to an edge on a line; without delay, as it would be a skew of the pair."""
     if writer.features.has("LineSelector"):
         writer.set_required("LineSelector", trigger.line)
-        writer.set_if_there("LineMode", "Input")
+        if writer.features.has("LineMode"):
+            writer.set_required("LineMode", "Input")
         writer.set_if_there("LineInverter", value=False)
     writer.set_required("TriggerSource", trigger.line)
     writer.set_required("TriggerActivation", trigger.activation)
@@ -176,7 +177,8 @@ def _set_line_in(writer: _Writer, trigger: TriggerIn) -> None:
 def _set_line_out(writer: _Writer, out: LineOut) -> None:
     """Show on a line when the sensor exposes."""
     writer.set_required("LineSelector", out.line)
-    writer.set_if_there("LineMode", "Output")  # fixed on lines that can be nothing else
+    if writer.features.has("LineMode"):
+        writer.set_required("LineMode", "Output")
     writer.set_if_there("LineInverter", value=False)
     writer.set_required("LineSource", out.source)
 
@@ -249,7 +251,15 @@ class _Writer:
             self.features.write(name, value)
             return self.features.read(name)
         except NodeRefusedError as error:
+            if self._reads_as(name, value):  # fixed to what is wanted, as the mode of some lines
+                return value
             raise self.refused(name, value, str(error)) from None
+
+    def _reads_as(self, name: str, value: Value) -> bool:
+        try:
+            return self.features.read(name) == value
+        except NodeRefusedError:
+            return False
 
     def _log_difference(self, name: str, wanted: object, actual: object) -> None:
         _log.warning(

@@ -1,7 +1,7 @@
-"""Every Camera keeps the same promises: an Aravis camera on GigE Vision, and the simulated one.
+"""Every Camera keeps the same promises: through Aravis, through harvesters, and the simulated one.
 
-The Aravis camera is a real one as far as software goes: a process of its own that speaks GigE
-Vision over UDP (`tests/gige`).
+The first two reach a real camera as far as software goes: a process of its own that speaks GigE
+Vision over UDP (`tests/gige`). Replayed frames come in pairs, without a camera.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.aravis import AravisCamera
 from drivers.clock import SteppedClock
 from drivers.errors import DeviceLostError, FrameTimeoutError
 from drivers.protocols import Camera, CameraSettings, CapturedFrame
@@ -26,8 +25,8 @@ from drivers.sim.settings import Scenario, SimSettings
 from drivers.sim.world import World
 from tests.gige.bench import HEIGHT_PX, WIDTH_PX, gige_network, image_index, running, shoot
 from tests.gige.bench import write_images as write_noise
+from tests.gige.kinds import KindName, kind_of
 from tests.gige.loopback import ADDRESSES
-from tests.gige.process import CameraProcess
 from tests.sim.rigs import site
 
 SERIAL = "15290000"
@@ -55,24 +54,35 @@ class Bench:
 
 @pytest.fixture
 def aravis(tmp_path: Path) -> Iterator[Bench]:
-    images = write_noise(tmp_path, 5, seed=1)
+    yield from genicam("aravis", tmp_path)
+
+
+@pytest.fixture
+def harvesters(tmp_path: Path) -> Iterator[Bench]:
+    yield from genicam("harvesters", tmp_path)
+
+
+def genicam(name: KindName, directory: Path) -> Iterator[Bench]:
+    images = write_noise(directory, 5, seed=1)
     settings = CameraSettings(WIDTH_PX, HEIGHT_PX, exposure_us=2000.0, gain_db=3.0)
-    camera = AravisCamera(SERIAL, settings, role="main")
-    process = CameraProcess(ADDRESSES[0], SERIAL, images)
+    with gige_network():
+        kind = kind_of(name)
+        camera = kind.make(SERIAL, settings, "main")
+        process = kind.process(ADDRESSES[0], SERIAL, images)
 
-    def give_back() -> None:
-        process.start()
+        def give_back() -> None:
+            process.start()
 
-    with gige_network(), running(process):
-        yield Bench(
-            camera,
-            settings,
-            image_shown=lambda pixels: image_index(pixels, images),
-            next_scene=process.wait_for_sent,  # it changes by itself
-            take_away=process.kill,
-            give_back=give_back,
-        )
-        camera.close()
+        with running(process):
+            yield Bench(
+                camera,
+                settings,
+                image_shown=lambda pixels: image_index(pixels, images),
+                next_scene=process.wait_for_sent,  # it changes by itself
+                take_away=process.kill,
+                give_back=give_back,
+            )
+            camera.close()
 
 
 @pytest.fixture
@@ -102,7 +112,7 @@ def simulated() -> Bench:
     )
 
 
-@pytest.fixture(params=["aravis", "simulated"])
+@pytest.fixture(params=["aravis", "harvesters", "simulated"])
 def bench(request: pytest.FixtureRequest) -> Bench:
     chosen: Bench = request.getfixturevalue(request.param)
     return chosen

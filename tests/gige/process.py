@@ -50,8 +50,13 @@ class CameraProcess:
 
     def command(self, line: str) -> None:
         """Give the camera an order and wait until it obeys."""
-        self._send(line)
+        self.send(line)
         self._expect(f"done {line.split(maxsplit=1)[0]}")
+
+    def register(self, address: int) -> int:
+        """What stands at an address of the camera: its state, as no driver can colour it."""
+        self.send(f"show {address:x}")
+        return int(self._lines.get(timeout=ANSWER_S).removeprefix("register "))
 
     def wait_for_sent(self, n: int) -> None:
         """Wait until so many frames have been sent, over all restarts."""
@@ -62,7 +67,8 @@ class CameraProcess:
         """Lay a wire from an output line to a line of another camera."""
         self._wires[str(line)] = (other, other_line)
 
-    def _send(self, line: str) -> None:
+    def send(self, line: str) -> None:
+        """Give an order that is not answered."""
         assert self._process is not None
         assert self._process.stdin is not None
         self._process.stdin.write(line + "\n")
@@ -103,7 +109,7 @@ class CameraProcess:
             elif verb == "line":
                 if rest in self._wires:
                     other, line_in = self._wires[rest]
-                    other._send(f"edge {line_in}")
+                    other.send(f"edge {line_in}")
             else:
                 self._lines.put(line.strip())
 

@@ -8,6 +8,7 @@ camera outlives the test that started it. Lines on stdin change its behaviour:
 
     lose 0.3     drop this share of the stream's packets
     late 0.4     let the next frame take this many seconds
+    show b020    say `register VALUE` of an address, as 4 bytes
     edge 3       a rising edge arrives at this line (no answer)
 
 It says `line N` when it exposes and its line N shows that: the wire is whoever reads it.
@@ -32,20 +33,39 @@ from numpy.typing import NDArray
 gi.require_version("Aravis", "0.8")
 from gi.repository import Aravis  # noqa: E402  (the version must be asked for first)
 
+from tests.gige.registers import (  # noqa: E402
+    EXPOSURE_ACTIVE,
+    EXPOSURE_AUTO,
+    EXPOSURE_TIME,
+    FIRE,
+    FRAME_RATE_AUTO,
+    FRAME_RATE_ENABLED,
+    GAIN,
+    GAIN_AUTO,
+    GAMMA,
+    GAMMA_ENABLED,
+    HEIGHT,
+    LINE_MODE,
+    LINE_SOURCE,
+    LINES,
+    OFFSET_X,
+    OFFSET_Y,
+    OUTPUT,
+    REVERSE_X,
+    RISING_EDGE,
+    SENSOR_HEIGHT,
+    SENSOR_WIDTH,
+    TEMPERATURE,
+    TRIGGER_ACTIVATION,
+    TRIGGER_SELECTOR,
+    TRIGGER_SOURCE,
+    WAITS_FOR_TRIGGER,
+    WIDTH,
+)
+
 GS3_XML = Path(__file__).with_name("gs3.xml")
 CONTROL_PORT = 3956
 """GigE Vision 2.0, 14.1: the device's control port."""
-
-# Registers of Aravis' fake camera (arvfakecamera.h), then ours (gs3.xml).
-WIDTH, HEIGHT, SENSOR_HEIGHT, SENSOR_WIDTH = 0x100, 0x104, 0x118, 0x11C
-OFFSET_X, OFFSET_Y, PIXEL_FORMAT = 0x130, 0x134, 0x128
-TEMPERATURE, REVERSE_X, FRAME_RATE_ENABLED, FRAME_RATE_AUTO = 0xB000, 0xB008, 0xB00C, 0xB010
-TRIGGER_SELECTOR, EXPOSURE_AUTO, EXPOSURE_TIME = 0xB014, 0xB01C, 0xB020
-GAIN_AUTO, GAIN, GAMMA_ENABLED, GAMMA = 0xB028, 0xB030, 0xB038, 0xB040
-TRIGGER_SOURCE, TRIGGER_ACTIVATION, LINE_MODE, LINE_SOURCE = 0xB048, 0xB04C, 0xB060, 0xB070
-WAITS_FOR_TRIGGER, FIRE = 0x304, 0x30C
-OUTPUT, EXPOSURE_ACTIVE, RISING_EDGE = 1, 1, 1
-LINES = range(4)
 
 BITS_OF_FORMAT = {0x01080001: 8, 0x01100003: 10, 0x01100005: 12, 0x01100007: 16}
 FILL_PATTERN = ctypes.CFUNCTYPE(
@@ -85,7 +105,8 @@ class FakeCamera:
             for offset, (word,) in enumerate(struct.iter_unpack(">I", packed)):
                 self._camera.write_register(address + 4 * offset, word)
 
-    def _register(self, address: int) -> int:
+    def register(self, address: int) -> int:
+        """What stands at an address."""
         return int(self._camera.read_register(address)[1])
 
     def _fill(self, buffer: int, _data: int, _exposure: int, _gain: int, pixel_format: int) -> None:
@@ -94,8 +115,8 @@ class FakeCamera:
         time.sleep(late_s)  # a long exposure
         index = self._frames if self._period_s is None else int(time.time() // self._period_s)
         name, image = self._images[index % len(self._images)]
-        left, top = self._register(OFFSET_X), self._register(OFFSET_Y)
-        width, height = self._register(WIDTH), self._register(HEIGHT)
+        left, top = self.register(OFFSET_X), self.register(OFFSET_Y)
+        width, height = self.register(WIDTH), self.register(HEIGHT)
         sample = "<u2" if BITS_OF_FORMAT[pixel_format] > 8 else "u1"
         data = image[top : top + height, left : left + width].astype(sample).tobytes()
         target = self._library.arv_buffer_get_data(buffer, ctypes.byref(ctypes.c_size_t()))
@@ -103,14 +124,14 @@ class FakeCamera:
         _say(f"frame {self._frames} {name}")
         self._frames += 1
         for line in LINES:
-            shows = self._register(LINE_SOURCE + 4 * line) == EXPOSURE_ACTIVE
-            if shows and self._register(LINE_MODE + 4 * line) == OUTPUT:
+            shows = self.register(LINE_SOURCE + 4 * line) == EXPOSURE_ACTIVE
+            if shows and self.register(LINE_MODE + 4 * line) == OUTPUT:
                 _say(f"line {line}")
 
     def edge(self, line: int) -> None:
         """A rising edge at a line: a trigger, if the camera listens to it."""
-        listens = self._register(TRIGGER_SOURCE) == line
-        if listens and self._register(TRIGGER_ACTIVATION) == RISING_EDGE:
+        listens = self.register(TRIGGER_SOURCE) == line
+        if listens and self.register(TRIGGER_ACTIVATION) == RISING_EDGE:
             self._write({FIRE: 1})
 
 
@@ -155,6 +176,9 @@ def _obey(camera: FakeCamera) -> None:
             camera.device.set_property("gvsp-lost-ratio", float(value))
         elif verb == "late":
             camera.late_s = float(value)
+        elif verb == "show":
+            _say(f"register {camera.register(int(value, 16))}")
+            continue
         elif verb == "edge":
             camera.edge(int(value))
             continue
