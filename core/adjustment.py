@@ -44,8 +44,10 @@ class Adjusted:
     rig: Rig | None
     corners_mm: FloatArray
     """(corners, 3) the board as estimated."""
+    discs_px: FloatArray
+    """(discs, 2) correction of the discs' places in the reference, by all other views."""
     posterior: Posterior
-    """Of lens, rig, first pose and corners."""
+    """Of lens, rig, first pose, the reference's discs and corners."""
     spreads: Spreads
     """How far this board's lines and corners are from the nominal ones."""
     scale: float
@@ -79,6 +81,7 @@ def adjust(
         tuple(start_poses),
         start_rig,
         board.corners_mm.copy(),
+        np.zeros((len(priors.discs_px), 2)),
     )
     problem = Problem(board, terms, views, state, priors, main_views)
     spreads = Spreads(priors.line_mm, priors.line_mm, priors.corner_mm)
@@ -101,6 +104,7 @@ def adjust(
         state.poses,
         state.rig,
         state.corners_mm,
+        state.discs_px,
         problem.posterior(system),
         spreads,
         system.scale,

@@ -80,22 +80,28 @@ def raw_displacement(setup: Setup, discs: Discs) -> tuple[Displacement, Shift]:
     which = choose_discs(setup, discs)
     miss = discs.points_px[which] - setup.reference_discs_px[which]
     mean, shift = _common_shift(miss, which)
+    reference_px2 = _reference_noise(setup, shift)
     return _displacement(
-        setup, mean, _disc_covariance(discs, shift), _reference_noise(discs, shift)
+        setup, mean, _disc_noise(discs, shift, reference_px2) + reference_px2, reference_px2
     ), shift
 
 
-def _disc_covariance(discs: Discs, shift: Shift) -> FloatArray:
-    """Covariance (2, 2) px^2 of the common shift: image noise here and in the reference."""
-    predicted = 2.0 * _reference_noise(discs, shift)
-    spread = shift.residual_px**2 / max(len(shift.which) - 1, 1)
-    return np.asarray(predicted + max(0.0, spread - np.trace(predicted) / 2.0) * np.eye(2))
+def _disc_noise(discs: Discs, shift: Shift, reference_px2: FloatArray) -> FloatArray:
+    """Covariance (2, 2) px^2 of the common shift from this image: as predicted, or as they scatter.
 
-
-def _reference_noise(discs: Discs, shift: Shift) -> FloatArray:
-    """Covariance (2, 2) px^2 of the common shift from the reference: taken to be as noisy."""
+    What the reference's noise makes them scatter does not count.
+    """
     each = discs.covariance_px2[shift.which] + DISC_FLOOR_PX**2 * np.eye(2)
-    return np.asarray(np.einsum("k,kab->ab", shift.weights**2, each))
+    predicted = np.einsum("k,kab->ab", shift.weights**2, each)
+    spread = shift.residual_px**2 / max(len(shift.which) - 1, 1)
+    excess = spread - np.trace(predicted + reference_px2) / 2.0
+    return np.asarray(predicted + max(0.0, excess) * np.eye(2))
+
+
+def _reference_noise(setup: Setup, shift: Shift) -> FloatArray:
+    """Covariance (2, 2) px^2 of the common shift from the discs' places in the reference."""
+    factor = np.einsum("k,kar->ar", shift.weights, setup.posterior.discs[shift.which])
+    return np.asarray(factor @ factor.T)
 
 
 def _displacement(
@@ -122,10 +128,13 @@ def corrected_displacement(
     miss = discs.points_px[which] - reference_px - prediction.shift_px
     mean, shift = _common_shift(miss, which)
     root = view.whitening() * np.sqrt(board.weights)[:, None, None]
-    effects, by_pose = shift_effects(setup, prediction, shift.weights, board.pose, view, root)
+    effects, by_pose = shift_effects(
+        setup, prediction, which, shift.weights, board.pose, view, root
+    )
     calibration_px2 = effects.covariance(setup.posterior)
     covariance_px2 = (
-        _disc_covariance(discs, shift) + by_pose @ board.covariance @ by_pose.T + calibration_px2
+        _disc_noise(discs, shift, _reference_noise(setup, shift))
+        + by_pose @ board.covariance @ by_pose.T
+        + calibration_px2
     )
-    shared_px2 = calibration_px2 + _reference_noise(discs, shift)
-    return _displacement(setup, mean, covariance_px2, shared_px2), shift
+    return _displacement(setup, mean, covariance_px2, calibration_px2), shift

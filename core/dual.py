@@ -20,14 +20,13 @@ from core.observability import drift_motions, require_motion
 from core.paper import PaperModel, fit_paper
 from core.pose import Pose
 from core.posterior import Posterior
-from core.propagation import expected_effects, predict_shift
+from core.propagation import DISC_FLOOR_PX, expected_effects, predict_shift
 from core.resection import resect
 from core.rig import MainView, Rig
 from core.setup import Levels, Setup
 from core.site import FloatArray, Site
 from core.views import Rejected, Views
 
-_DISC_SIGMA_PX = 0.005
 _SCALE_SIGMA = 2e-3
 """Relative: the target may be tilted, and printed to a part in a thousand."""
 _CLEAN = 0.9
@@ -115,7 +114,11 @@ def _fit_rigid(
 ) -> Fit:
     """Everything jointly, the survey as prior."""
     site, reference = recipe.site, views.reference.discs
-    priors = AdjustmentPriors(lens=lens_prior(site.sub, skew=recipe.skew), rig=rig_prior(site))
+    priors = AdjustmentPriors(
+        lens=lens_prior(site.sub, skew=recipe.skew),
+        rig=rig_prior(site),
+        discs_px=disc_sigmas_px(reference),
+    )
     main = [None, *(main_view(v.discs, reference) for v in views.rig), *(None for _ in views.lens)]
     boards = [v.board.view for v in views.all]
     adjusted = adjust(recipe.board, boards, start, poses, priors, drawn_rig(site, B), main)
@@ -135,6 +138,7 @@ def _fit_paper(
         bow_mm=(0.0, 0.0, 0.0),
         line_mm=0.0,
         corner_mm=0.0,
+        discs_px=disc_sigmas_px(views.reference.discs),
     )
     boards = [v.board.view for v in views.all]
     adjusted = adjust(recipe.board, boards, start, poses, perfect)
@@ -183,7 +187,16 @@ def main_view(discs: Discs, reference: Discs) -> MainView | None:
     common = discs.found & reference.found & (discs.clean > _CLEAN)
     if not common.any():
         return None
-    return MainView(discs.points_px[common], reference.points_px[common], _DISC_SIGMA_PX)
+    which = np.nonzero(common)[0]
+    return MainView(
+        discs.points_px[which], reference.points_px[which], disc_sigmas_px(discs)[which], which
+    )
+
+
+def disc_sigmas_px(discs: Discs) -> FloatArray:
+    """(n,) 1 sigma of a coordinate of each disc; 0 where it was not found."""
+    variance = np.trace(discs.covariance_px2, axis1=1, axis2=2) / 2.0 + DISC_FLOOR_PX**2
+    return np.asarray(np.where(discs.found, np.sqrt(variance), 0.0))
 
 
 def main_misses_px(
@@ -267,7 +280,7 @@ def setup_of(fit: Fit, recipe: Recipe) -> Setup:
         fit.adjusted.corners_mm,
         fit.adjusted.lens,
         fit.reference_pose,
-        reference.discs.points_px,
+        reference.discs.points_px + fit.adjusted.discs_px,
         fit.B,
         fit.model,
         fit.posterior,
@@ -277,6 +290,7 @@ def setup_of(fit: Fit, recipe: Recipe) -> Setup:
         expected_effects(setup, recipe.site.sub, motion)[0].through(fit.posterior)
         for motion in (*fit.motions, *drift_motions(recipe.site.quality))
     ]
+    effects_px.append(fit.posterior.discs[reference.discs.found].mean(axis=0))  # raw displacement
     return replace(setup, posterior=fit.posterior.compressed(np.concatenate(effects_px)))
 
 

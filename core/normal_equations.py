@@ -7,7 +7,7 @@ that a step solves a dense system of a few hundred unknowns.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -37,6 +37,8 @@ class AdjustmentPriors:
     """In-plane offset of each corner from its lines, likewise."""
     rig: FloatArray = field(default_factory=lambda: np.zeros(RIG_PARAMETERS))
     """(8,) about the rig as drawn, see core.rig."""
+    discs_px: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(discs,) of a coordinate in the reference's main image; 0 for a disc not seen there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +72,8 @@ class State:
     rig: Rig | None
     corners_mm: FloatArray
     """(corners, 3) the board as estimated."""
+    discs_px: FloatArray
+    """(discs, 2) what the reference's main image has to be corrected by: its own noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +82,7 @@ class _Layout:
 
     lens_size: int
     shape_size: int
+    discs: int
     views: int
 
     @property
@@ -96,13 +101,17 @@ class _Layout:
     def rig(self) -> slice:
         return slice(self.shape.stop, self.shape.stop + RIG_PARAMETERS)
 
+    @property
+    def all_discs(self) -> slice:
+        return slice(self.rig.stop, self.rig.stop + 2 * self.discs)
+
     def pose(self, view: int) -> slice:
-        start = self.rig.stop + 6 * view
+        start = self.all_discs.stop + 6 * view
         return slice(start, start + 6)
 
     @property
     def size(self) -> int:
-        return int(self.rig.stop + 6 * self.views)
+        return int(self.all_discs.stop + 6 * self.views)
 
 
 @dataclass(slots=True)
@@ -163,10 +172,11 @@ class Problem:
         self.board, self.terms, self.views, self.start = board, terms, views, start
         self.main_views = main_views
         self.whitening = [view.whitening() for view in views]
-        self.layout = _Layout(start.lens.size, terms.shape[2], len(views))
+        self.layout = _Layout(start.lens.size, terms.shape[2], len(priors.discs_px), len(views))
         layout = self.layout
         sigma = np.full(layout.size, np.inf)
         sigma[layout.lens], sigma[layout.rig] = priors.lens, priors.rig
+        sigma[layout.all_discs] = np.repeat(priors.discs_px, 2)
         shape = shape_sigmas(priors.scale, priors.bow_mm)
         lines = np.full(terms.shape[2] - len(shape), priors.line_mm)
         sigma[layout.shape] = np.concatenate([shape, lines])
@@ -184,11 +194,18 @@ class Problem:
             np.zeros((corners, 2)),
         )
         norms = [self._add_board_view(system, state, v, scale) for v in range(len(self.views))]
-        system.scale = robust_scale(np.concatenate(norms))
+        system.scale = robust_scale(np.concatenate(norms)) * self._freedom()
         self._add_lines(system)
         self._add_main_views(system, state)
         self._add_priors(system, state, spreads)
         return system
+
+    def _freedom(self) -> float:
+        """How much larger errors are than the residuals that a fit of so many unknowns leaves."""
+        residuals = 2 * sum(len(view.index) for view in self.views)
+        seen = len(np.unique(np.concatenate([view.index for view in self.views])))
+        unknowns = self.layout.size + 2 * seen
+        return float(np.sqrt(residuals / max(residuals - unknowns, 0.5 * residuals)))
 
     def _add_board_view(self, system: System, state: State, v: int, scale: float) -> FloatArray:
         """Add one view's corners; their whitened residual norms come back."""
@@ -233,29 +250,36 @@ class Problem:
     def _add_main_views(self, system: System, state: State) -> None:
         if state.rig is None:
             return
-        squares, count, layout = 0.0, 0, self.layout
+        layout, seen = self.layout, []
         for v, main in enumerate(self.main_views):
-            if v == 0 or main is None:
-                continue
-            residual, by_rig, by_pose, by_reference = rig_residuals(
-                state.rig, main, state.poses[v], state.poses[0]
-            )
-            squares, count = squares + float((residual**2).sum()), count + residual.size
-            norm = np.hypot(residual[:, 0], residual[:, 1]) / main.sigma_px
-            root = np.sqrt(robust_weights(norm / max(1.0, float(np.median(norm)))))
-            root = root[:, None] / main.sigma_px * system.scale
-            columns = np.r_[layout.rig, layout.pose(v), layout.pose(0)]
-            local = np.concatenate([by_rig, by_pose, by_reference], axis=2) * root[:, :, None]
-            flat = local.reshape(-1, len(columns))
+            if v > 0 and main is not None:
+                shifted = replace(main, reference_px=main.reference_px + state.discs_px[main.which])
+                parts = rig_residuals(state.rig, shifted, state.poses[v], state.poses[0])
+                seen.append((v, main, *parts))
+        if not seen:
+            return
+        norms = [np.hypot(*residual.T) / main.sigma_px for _, main, residual, *_ in seen]
+        scale = max(1.0, robust_scale(np.concatenate(norms)))  # poses take up some of it
+        system.main_rms = float(np.sqrt(np.mean(np.concatenate([part[2] for part in seen]) ** 2)))
+        for (v, main, residual, by_rig, by_pose, by_reference), norm in zip(
+            seen, norms, strict=True
+        ):
+            root = np.sqrt(robust_weights(norm / scale)) / (main.sigma_px * scale) * system.scale
+            discs = layout.all_discs.start + 2 * main.which[:, None] + np.arange(2)
+            columns = np.r_[layout.rig, layout.pose(v), layout.pose(0), discs.ravel()]
+            # A disc's place moves with its place in the reference, to a part in a thousand.
+            by_discs = np.eye(discs.size).reshape(len(discs), 2, -1)
+            local = np.concatenate([by_rig, by_pose, by_reference, by_discs], axis=2)
+            flat = (local * root[:, None, None]).reshape(-1, len(columns))
             system.dense[np.ix_(columns, columns)] += flat.T @ flat
-            system.right[columns] += flat.T @ (residual * root).ravel()
-        system.main_rms = float(np.sqrt(squares / count)) if count else 0.0
+            system.right[columns] += flat.T @ (residual * root[:, None]).ravel()
 
     def _add_priors(self, system: System, state: State, spreads: Spreads) -> None:
         layout = self.layout
         deviation = np.zeros(layout.size)
         deviation[layout.lens] = self.start.lens.parameters - state.lens.parameters
         deviation[layout.shape] = -state.shape
+        deviation[layout.all_discs] = -state.discs_px.ravel()
         if state.rig is not None and self.start.rig is not None:
             deviation[layout.rig] = state.rig.deviation_from(self.start.rig)
         sigma = self.sigma.copy()
@@ -291,8 +315,9 @@ class Problem:
         corners = self.terms @ factor[layout.shape]
         corners[:, :2] -= np.linalg.solve(system.corner, system.cross @ factor)
         own = np.linalg.inv(system.corner) * system.scale**2
+        discs = factor[layout.all_discs].reshape(layout.discs, 2, -1)
         return Posterior(
-            factor[layout.lens], factor[layout.rig], factor[layout.pose(0)], corners, own
+            factor[layout.lens], factor[layout.rig], factor[layout.pose(0)], discs, corners, own
         )
 
     def step(self, state: State, step: FloatArray, offset_step: FloatArray) -> State:
@@ -309,4 +334,5 @@ class Problem:
             tuple(pose.perturbed(step[layout.pose(v)]) for v, pose in enumerate(state.poses)),
             None if state.rig is None else state.rig.perturbed(step[layout.rig]),
             corners,
+            state.discs_px + step[layout.all_discs].reshape(-1, 2),
         )

@@ -132,7 +132,7 @@ _FURTHER: tuple[tuple[str, int, float | None], ...] = (
     ("slide the rig along the viewing axis, by 5 mm both ways", 5, 5.0),
 )
 """What to do, the axis it moves along, and how far (rad or mm); None is twice what was made."""
-_WORTHWHILE = 0.8
+_WORTHWHILE = 0.85
 
 
 def further_motion(setup: Setup, site: Site) -> str | None:

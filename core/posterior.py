@@ -1,9 +1,10 @@
 """What a calibration knows, jointly: the covariance of all that a measurement rests on.
 
-The unknowns are the lens, the model (rig or the paper's nine parameters), the reference pose and
-every corner of the board, some thousand. All are correlated: what lens and board share has the
-same effect on the reference and on a row and cancels there. So their covariance is kept whole,
-as a factor F with covariance F F^T, and what is left of each corner's own error beside it.
+The unknowns are the lens, the model (rig or the paper's nine parameters), the reference (its pose
+and its discs) and every corner of the board, some thousand. All are correlated: what lens and
+board share has the same effect on the reference and on a row and cancels there. So their covariance
+is kept whole, as a factor F with covariance F F^T, and what is left of each corner's own error
+beside it.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _KNOWN_MM = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """Covariance of lens, model, reference pose and corners: F F^T and the corners' own."""
+    """Covariance of lens, model, reference and corners: F F^T and the corners' own."""
 
     lens: FloatArray
     """(lens parameters, r) rows of F."""
@@ -32,6 +33,8 @@ class Posterior:
     """(8 or 9, r)."""
     reference: FloatArray
     """(6, r) of the reference pose, see Pose.perturbed."""
+    discs: FloatArray
+    """(discs, 2, r) of the discs' places in the reference image."""
     corners: FloatArray
     """(corners, 3, r)."""
     own_mm2: FloatArray
@@ -57,6 +60,7 @@ class Posterior:
             np.concatenate([self.lens, np.zeros((len(self.lens), n))], axis=1),
             np.concatenate([np.zeros((n, r)), own], axis=1),
             np.concatenate([self.reference, np.zeros((6, n))], axis=1),
+            np.concatenate([self.discs, np.zeros((len(self.discs), 2, n))], axis=2),
             corners,
             self.own_mm2,
         )
@@ -67,6 +71,7 @@ class Posterior:
             self.lens @ matrix,
             self.model @ matrix,
             self.reference @ matrix,
+            self.discs @ matrix,
             self.corners @ matrix,
             self.own_mm2,
         )
@@ -120,6 +125,8 @@ class Effects:
     """(k, 8 or 9)."""
     by_reference: FloatArray
     """(k, 6)."""
+    by_discs: FloatArray
+    """(k, discs, 2)."""
     index: IntArray
     """(n,) the corners seen."""
     by_corners: FloatArray
@@ -134,6 +141,7 @@ class Effects:
             self.by_lens @ posterior.lens
             + self.by_model @ posterior.model
             + self.by_reference @ posterior.reference
+            + self.by_discs.reshape(k, -1) @ posterior.discs.reshape(-1, posterior.discs.shape[2])
             + everywhere.reshape(k, -1) @ posterior.corners.reshape(-1, posterior.corners.shape[2])
         )
 

@@ -13,9 +13,9 @@ from core.posterior import Effects
 from core.resection import BoardView, pose_jacobian
 from core.rig import Rig, motion_by_pose, motion_by_reference
 from core.setup import Setup
-from core.site import CameraGeometry, FloatArray
+from core.site import CameraGeometry, FloatArray, IntArray
 
-DISC_FLOOR_PX = 0.002
+DISC_FLOOR_PX = 0.0007
 """What a located disc is not trusted beyond, however low the noise."""
 _MARGIN_PX = 2.0
 
@@ -73,14 +73,16 @@ def pose_follows(
 def shift_effects(
     setup: Setup,
     prediction: Prediction,
+    which: IntArray,
     weights: FloatArray,
     pose: Pose,
     view: BoardView,
     root: FloatArray,
 ) -> tuple[Effects, FloatArray]:
-    """How the discs' mean false shift, (2,) px, follows the calibration, and the pose (2, 6).
+    """How the discs' mean false place, (2,) px, follows the calibration, and the pose (2, 6).
 
-    weights (n,) of the discs sum to 1; root (corners seen, 2, 2) is as the pose was fitted with.
+    weights (n,) of the discs `which` sum to 1; root (corners seen, 2, 2) is what the pose was
+    fitted with.
     """
     motion = pose.compose(setup.reference_pose.inverse())
     by_motion = np.einsum("k,kab->ab", weights, prediction.by_motion)
@@ -88,7 +90,9 @@ def shift_effects(
     by_pose = by_motion @ motion_by_pose(motion, setup.reference_pose)
     by_reference = by_motion @ motion_by_reference(motion, setup.reference_pose)
     by_lens, by_corners = pose_follows(setup.lens, pose, setup.corners_mm, view, root, by_pose)
-    return Effects(by_lens, by_model, by_reference, view.index, by_corners), by_pose
+    by_discs = np.zeros((2, len(setup.reference_discs_px), 2))
+    by_discs[:, which] = np.eye(2)[:, None] * weights[:, None]
+    return Effects(by_lens, by_model, by_reference, by_discs, view.index, by_corners), by_pose
 
 
 def reference_noise(setup: Setup, camera: CameraGeometry) -> FloatArray:
@@ -101,7 +105,8 @@ def reference_noise(setup: Setup, camera: CameraGeometry) -> FloatArray:
         setup.lens, setup.reference_pose, setup.corners_mm, view, view.whitening(), np.eye(6)
     )
     nothing = np.zeros((6, len(setup.posterior.model)))
-    effects = Effects(by_lens, nothing, np.zeros((6, 6)), view.index, by_corners)
+    no_discs = np.zeros((6, len(setup.reference_discs_px), 2))
+    effects = Effects(by_lens, nothing, np.zeros((6, 6)), no_discs, view.index, by_corners)
     return setup.posterior.reference - effects.through(setup.posterior)
 
 
@@ -124,12 +129,12 @@ def expected_effects(
     """
     pose = motion.compose(setup.reference_pose)
     view = expected_view(setup, camera, pose)
-    seen = setup.reference_discs_px[np.isfinite(setup.reference_discs_px).all(axis=1)]
-    prediction = predict_shift(setup.model, seen, motion)
-    weights = np.full(len(seen), 1.0 / len(seen))
+    which = np.nonzero(np.isfinite(setup.reference_discs_px).all(axis=1))[0]
+    prediction = predict_shift(setup.model, setup.reference_discs_px[which], motion)
+    weights = np.full(len(which), 1.0 / len(which))
     root = view.whitening()
-    effects, by_pose = shift_effects(setup, prediction, weights, pose, view, root)
+    effects, by_pose = shift_effects(setup, prediction, which, weights, pose, view, root)
     jacobian = root @ pose_jacobian(setup.lens, pose, setup.corners_mm[view.index])[1]
     flat = jacobian.reshape(-1, 6)
     noise = by_pose @ np.linalg.solve(flat.T @ flat, by_pose.T)
-    return effects, noise + 2.0 * DISC_FLOOR_PX**2 / len(seen) * np.eye(2)
+    return effects, noise + 2.0 * DISC_FLOOR_PX**2 / len(which) * np.eye(2)

@@ -13,6 +13,8 @@ from core.pose import Pose, skew_matrix
 from core.site import BoolArray, FloatArray, IntArray
 
 MIN_CORNERS = 8
+_BELIEVED_AS = 50.0
+"""A prediction of the noise counts as so many residuals."""
 POSITION_FLOOR_PX = 0.0005
 """What a located corner is not trusted beyond, however low the noise: the model's own error."""
 
@@ -50,7 +52,7 @@ class BoardPose:
     weights: FloatArray
     """(n,) 0 to 1, low for corners that do not fit the others."""
     variance_factor: float
-    """Squared ratio of the residuals to their predicted size, at least 1."""
+    """Squared ratio of the residuals to their predicted size."""
 
     @property
     def plain_rms_px(self) -> float:
@@ -70,8 +72,14 @@ def robust_weights(norm: FloatArray) -> FloatArray:
 
 
 def robust_scale(norm: FloatArray) -> float:
-    """Ratio of residual norms (n,) of 2-vectors to unit variance, by their median; at least 1."""
-    return max(1.0, float(np.median(norm)) / 1.1774)
+    """Ratio of residual norms (n,) of 2-vectors to their predicted size, by their median.
+
+    Below 1, noise was predicted too large; that is believed the more, the more residuals say so.
+    """
+    ratio, n = float(np.median(norm)) / 1.1774, len(norm)
+    if ratio >= 1.0:
+        return ratio
+    return float(np.sqrt((n * ratio**2 + _BELIEVED_AS) / (n + _BELIEVED_AS)))
 
 
 def start_pose(lens: Lens, points_mm: FloatArray, points_px: FloatArray) -> Pose:

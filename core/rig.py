@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from core.pose import Pose, skew_matrix
-from core.site import FloatArray
+from core.site import FloatArray, IntArray
 
 RIG_PARAMETERS = 8
 """Rotation of CM against CS about the CM axes (3, rad), offset (3, mm), ln depth, ln scale."""
@@ -27,7 +27,10 @@ class MainView:
     """(n, 2) in this view."""
     reference_px: FloatArray
     """(n, 2) in the reference view."""
-    sigma_px: float
+    sigma_px: FloatArray
+    """(n,) of a coordinate in this view, 1 sigma."""
+    which: IntArray
+    """(n,) the discs' indices on the target."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,9 @@ SITE = small_site(sub_target=CheckerboardTarget(10, 8, 4.0, 50.0))
 BOARD = Board.nominal(SITE.sub_target)
 B = SITE.nominal_px_per_mm * np.diag([1.0, -1.0])
 DRAWN = drawn_rig(SITE, B)
-PRIORS = AdjustmentPriors(lens=lens_prior(SITE.sub), rig=rig_prior(SITE))
+PRIORS = AdjustmentPriors(
+    lens=lens_prior(SITE.sub), rig=rig_prior(SITE), discs_px=np.full(5, DISC_PX)
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +103,10 @@ def calibrated(truth: Truth, rng: np.random.Generator) -> tuple[Setup, Adjusted]
     views = [truth.see_board(pose, rng) for pose in poses]
     reference_px = truth.see_discs(Pose.identity(), np.zeros(2), rng)
     main = [None]
-    main += [MainView(truth.see_discs(m, np.zeros(2), rng), reference_px, DISC_PX) for m in motions]
+    sigma, which = np.full(5, DISC_PX), np.arange(5)
+    main += [
+        MainView(truth.see_discs(m, np.zeros(2), rng), reference_px, sigma, which) for m in motions
+    ]
     main += [None] * 6
     adjusted = adjust(BOARD, views, nominal_lens(SITE.sub), poses, PRIORS, DRAWN, main)
     scale = truth.rig.scale_px_per_mm
@@ -110,7 +115,7 @@ def calibrated(truth: Truth, rng: np.random.Generator) -> tuple[Setup, Adjusted]
         adjusted.corners_mm,
         adjusted.lens,
         adjusted.poses[0],
-        reference_px,
+        reference_px + adjusted.discs_px,
         np.diag([scale, -scale]),
         adjusted.rig,
         adjusted.posterior,

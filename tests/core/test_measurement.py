@@ -82,7 +82,7 @@ def test_the_reference_itself_measures_zero(lab: Session) -> None:
     measured = measure_pair(reference.main, reference.sub, lab.site, lab.calibration)
     assert measured.flag is Flag.GOOD
     assert measured.raw is not None
-    assert np.abs(measured.raw.mm).max() < 1e-6
+    assert np.abs(measured.raw.mm).max() < 1e-4
     assert measured.corrected is not None
     assert measured.motion is not None
     assert np.abs(measured.motion.rotation_rad).max() < 3e-5

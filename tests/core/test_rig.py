@@ -120,7 +120,9 @@ def test_rig_derivatives() -> None:
 def test_rig_residual_derivatives() -> None:
     """What the adjustment uses: the model by rig, by the view's pose and by the reference."""
     pose = _small(MOTION).compose(REFERENCE)
-    main = MainView(DISCS_PX + 3.0, DISCS_PX, 0.01)
+    main = MainView(
+        DISCS_PX + 3.0, DISCS_PX, np.full(len(DISCS_PX), 0.01), np.arange(len(DISCS_PX))
+    )
     residual, by_rig, by_pose, by_reference = rig_residuals(RIG, main, pose, REFERENCE)
     assert residual == pytest.approx(main.points_px - RIG.move(DISCS_PX, _small(MOTION)), abs=1e-6)
 
