@@ -205,7 +205,7 @@ def _begin(
     if sight.problems or sight.discs is None:
         raise CalibrationError("before calibrating: " + "; ".join(sight.problems))
     positions = tuple(planned_positions(rig.site, sight.discs, rig.limits))
-    directory = _new_directory(state / FOLDER / f"{first_utc:%Y%m%dT%H%M%SZ}")
+    directory = new_directory(state / FOLDER / f"{first_utc:%Y%m%dT%H%M%SZ}")
     plan = Plan(config_hash=config_hash, lens_views=0, positions=positions, state="taking")
     session = Session(directory, plan, [])
     session.note(plan)
@@ -264,8 +264,8 @@ def _keep(
     return FrameSetRow(
         slot_utc=slot_utc,
         role=role,
-        main=None if role == "intrinsics" else _write(directory, slot_utc, "main", pair.main),
-        sub=_write(directory, slot_utc, "sub", pair.sub),
+        main=None if role == "intrinsics" else write_frame(directory, slot_utc, "main", pair.main),
+        sub=write_frame(directory, slot_utc, "sub", pair.sub),
         pan_deg=None if reached is None else round(reached[0], 4),
         tilt_deg=None if reached is None else round(reached[1], 4),
         extra=MappingProxyType({"step": "" if step is None else str(step)}),
@@ -281,7 +281,7 @@ def _copy_lens_views(session: Session, lens_views: FrameSet) -> None:
         session.add(FrameSetRow(row.slot_utc, "intrinsics", None, name, extra=step))
 
 
-def _new_directory(wanted: Path) -> Path:
+def new_directory(wanted: Path) -> Path:
     """Make a directory; simulated time can come twice, and no session overwrites another."""
     directory, number = wanted, 1
     while directory.exists():
@@ -291,7 +291,8 @@ def _new_directory(wanted: Path) -> Path:
     return directory
 
 
-def _write(directory: Path, slot_utc: datetime, role: str, frame: CapturedFrame) -> str:
+def write_frame(directory: Path, slot_utc: datetime, role: str, frame: CapturedFrame) -> str:
+    """Put one image on the disk, durably; give its name."""
     name = f"{slot_utc:%Y%m%dT%H%M%SZ}_{role}.png"
     write_durable(directory / name, encode_png(frame.pixels, frame.bits))
     return name

@@ -24,6 +24,8 @@ LOOK_PERIOD_S = 1.0
 SETTLE_TIMEOUT_S = 30.0
 STILL_PX = 0.05
 """A board that moves less between two looks is at rest: a hundredth of a pixel is noise."""
+HELD_STILL_PX = 3.0
+"""A board in the hand never rests; within an exposure of some ms this is a hundredth of it."""
 _SHARP_PX = 3.0
 _LEAST_CONTRAST = 0.12
 _SATURATED_SHARE = 0.005
@@ -134,6 +136,7 @@ def settled_sight(
     swinging. Raises HardwareError when it does not come to rest in time, DeviceError.
     """
     see = see_board if board_only else see_pair
+    still_px = HELD_STILL_PX if board_only else STILL_PX
     before: FloatArray | None = None
     moved_px = np.inf
     first_s = clock.monotonic_s()
@@ -147,7 +150,7 @@ def settled_sight(
         points = sight.board.view.points_px
         if before is not None:
             moved_px = common_motion_px(before, points)
-            if moved_px < STILL_PX:
+            if moved_px < still_px:
                 return slot_utc, sight
         before = points
     msg = (

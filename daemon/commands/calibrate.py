@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,6 +13,9 @@ from pathlib import Path
 import click
 
 from core.calibration import Method
+from core.lens_coverage import LensCoverage
+from daemon.calibration.lens_session import latest_lens_views, take_lens_views
+from daemon.calibration.lens_verdict import judge_lens
 from daemon.calibration.positions import VIEWS, Limits
 from daemon.calibration.run import CalibrationRun, calibrate_frames, store_run, views_in
 from daemon.calibration.session import (
@@ -30,7 +33,7 @@ from daemon.control import cameras_to_oneself
 from daemon.devices import open_clock, open_simulated_rig, require_backend
 from daemon.errors import ExitCode, HardwareError, UsageError, WorkFailedError
 from daemon.store.database import Store, open_store
-from drivers.frameset import FrameSet, read_frame_set
+from drivers.frameset import FrameSet, FrameSetRow, read_frame_set
 
 BEFORE_THE_STORY = timedelta(minutes=30)
 """A simulated rig is calibrated before anything happens to it: until then both targets rest."""
@@ -56,10 +59,21 @@ MOST_TAKEN_AGAIN = 5
     help="Move the head, take the views, keep them below the state directory, calibrate on them.",
 )
 @click.option(
+    "--intrinsics",
+    is_flag=True,
+    help="Take lens views, the board in the hand, until they are enough; or judge those of --from.",
+)
+@click.option(
     "--lens-views",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="With --pan-tilt: a frame set whose lens views (role intrinsics) are used.",
+    help="With --pan-tilt: a frame set whose lens views (role intrinsics) are used; else the "
+    "latest that --intrinsics took.",
+)
+@click.option(
+    "--without-lens-views",
+    is_flag=True,
+    help="With --pan-tilt: take no lens views; the lens is then known as drawn only.",
 )
 @click.option("--fresh", is_flag=True, help="Begin anew, not where an interrupted run broke off.")
 @click.option(
@@ -78,7 +92,9 @@ def command(
     options: Options,
     directory: Path | None,
     pan_tilt: bool,
+    intrinsics: bool,
     lens_views: Path | None,
+    without_lens_views: bool,
     fresh: bool,
     method: str,
     skew: bool,
@@ -94,21 +110,23 @@ def command(
     With --pan-tilt every view is kept as soon as it is taken: an interrupted run goes on where
     it broke off. A running dcamd pauses meanwhile, and its slots are a gap of that cause.
     """
+    if intrinsics and not pan_tilt:
+        return calibrate_intrinsics(options.config, options.state, directory, as_json=as_json)
     if (directory is not None) == pan_tilt:
-        msg = "give either --from DIR or --pan-tilt"
+        msg = "give one of --from DIR, --pan-tilt, --intrinsics"
         raise UsageError(msg)
-    if not pan_tilt and (lens_views is not None or fresh):
-        msg = "--lens-views and --fresh go with --pan-tilt"
+    if not pan_tilt and (lens_views is not None or without_lens_views or fresh):
+        msg = "--lens-views, --without-lens-views and --fresh go with --pan-tilt"
         raise UsageError(msg)
     config, state = options.config, options.state
     with open_store(state) as store:  # first: what cannot be stored need not be taken
-        run, taken_utc = (
-            calibrate_on(config, directory, Method(method), skew=skew)
-            if directory is not None
-            else calibrate_with_head(
-                config, state, Method(method), skew=skew, lens_views=lens_views, fresh=fresh
+        if directory is not None:
+            run, taken_utc = calibrate_on(config, directory, Method(method), skew=skew)
+        else:
+            lens = None if without_lens_views else found_lens_views(config, state, lens_views)
+            run, taken_utc = calibrate_with_head(
+                config, state, Method(method), skew=skew, lens=lens, fresh=fresh
             )
-        )
         return judge_and_store(config, store, run, taken_utc, accept=accept, as_json=as_json)
 
 
@@ -128,7 +146,7 @@ def calibrate_with_head(
     method: Method,
     *,
     skew: bool = False,
-    lens_views: Path | None = None,
+    lens: FrameSet | None = None,
     fresh: bool = False,
 ) -> tuple[CalibrationRun, datetime]:
     """Take the views with the pan-tilt head and calibrate on them; views that do not fit again.
@@ -146,11 +164,11 @@ def calibrate_with_head(
         note(
             f"going on with {begun.directory}: {len(begun.rows)} views are there; --fresh does not"
         )
-    lens = read_lens_views(lens_views) if lens_views and begun is None else None
     with ExitStack() as stack:
         stack.enter_context(stopping_cleanly())
         stack.enter_context(cameras_to_oneself(state, "dcam-ctl calibrate"))
-        rig = stack.enter_context(opened_rig(config, begun))
+        before = begun.rows if begun else lens.rows if lens else ()
+        rig = stack.enter_context(opened_rig(config, before))
         with kept_when_interrupted(), progress(_steps(rig, lens, begun), "taking views") as steps:
             session = take_views(rig, state, config.config_hash(), lens, begun, steps.next, _tell)
         run, taken_utc = calibrate_on(config, session.directory, method, skew=skew)
@@ -189,8 +207,20 @@ def _misfits(run: CalibrationRun) -> list[str]:
     return [match[1] for match in named if match]
 
 
-def read_lens_views(directory: Path) -> FrameSet:
-    """Read a frame set for its lens views. Raises FrameSetError, UsageError."""
+def found_lens_views(config: Config, state: Path, directory: Path | None) -> FrameSet | None:
+    """Give the lens views to calibrate with: those named, else the latest taken.
+
+    None for a simulated rig without any, which takes its own. Raises FrameSetError, UsageError.
+    """
+    if directory is None:
+        latest = latest_lens_views(state)
+        if latest is None and config.camera.main.backend != "simulated":
+            msg = (
+                "no lens views yet, and pan and tilt do not determine a lens; take them with "
+                "dcam-ctl calibrate --intrinsics, or give --lens-views DIR or --without-lens-views"
+            )
+            raise UsageError(msg)
+        return latest
     frames = read_frame_set(directory)
     if not frames.rows_of("intrinsics"):
         msg = f"{directory}: holds no lens views (rows of role intrinsics)"
@@ -198,16 +228,52 @@ def read_lens_views(directory: Path) -> FrameSet:
     return frames
 
 
+def calibrate_intrinsics(
+    config: Config, state: Path, directory: Path | None, *, as_json: bool
+) -> int:
+    """Take lens views, or read those of a frame set, and say what lens they give."""
+    if directory is None:
+        with ExitStack() as stack:
+            stack.enter_context(stopping_cleanly())
+            stack.enter_context(cameras_to_oneself(state, "dcam-ctl calibrate"))
+            rig = stack.enter_context(opened_rig(config, ()))
+            stack.enter_context(kept_when_interrupted())
+            directory = take_lens_views(rig, state, show_lens_view)
+    frames = read_frame_set(directory)
+    views = frames.rows_of("intrinsics")
+    if not views:
+        msg = f"{directory}: holds no lens views (rows of role intrinsics)"
+        raise UsageError(msg)
+    with progress(len(views) + 1, "calibrating the lens") as steps:
+        figures = judge_lens(frames, config.site(), steps.next)
+    if as_json:
+        print_json({"command": "calibrate", "frames": directory, **figures.fields})
+    else:
+        for line in figures.lines:
+            say(line)
+        say(f"Lens views in {directory}; dcam-ctl calibrate --pan-tilt uses the latest.")
+    return ExitCode.DONE if figures.enough else ExitCode.FAILED
+
+
+def show_lens_view(covered: LensCoverage, said: str) -> None:
+    """Tell whoever holds the board what became of the look, and what to show next."""
+    wish = f"; next: {covered.wishes[0]}" if covered.wishes else "; enough"
+    note(f"{said}; {covered.covered:.0%} of the image covered{wish}")
+
+
 @contextmanager
-def opened_rig(config: Config, begun: Session | None) -> Iterator[Rig]:
-    """Open cameras and head for a session. Raises HardwareError for a backend without a head."""
+def opened_rig(config: Config, before: Sequence[FrameSetRow]) -> Iterator[Rig]:
+    """Open cameras and head for a session; simulated time goes on after the views before it.
+
+    Raises HardwareError for a backend without a head.
+    """
     backend = require_backend(config)
     if backend != "simulated":
         msg = f"no pan-tilt head for backend {backend} in this version; use --from DIR"
         raise HardwareError(msg)
     begin_utc = config.simulation.start_utc - BEFORE_THE_STORY
-    if begun is not None:
-        begin_utc = max(begin_utc, begun.rows[-1].slot_utc + timedelta(seconds=1))
+    if before:
+        begin_utc = max(begin_utc, before[-1].slot_utc + timedelta(seconds=1))
     clock = open_clock(config, begin_utc=begin_utc)
     devices = open_simulated_rig(config, clock)
     head = devices.world.settings.head

@@ -1,0 +1,118 @@
+"""Taking lens views with the board in the hand: says what to show next, and when it is enough."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from core.board import Board
+from core.intrinsics import nominal_lens
+from core.lens_coverage import LensCoverage, lens_coverage
+from core.pose import Pose
+from core.resection import resect
+from core.site import FloatArray
+from daemon.calibration.session import FOLDER, Rig, new_directory, write_frame
+from daemon.calibration.sight import Sight, common_motion_px, settled_sight
+from daemon.errors import HardwareError
+from drivers.frameset import FrameSet, FrameSetRow, read_frame_set, write_table
+
+SUFFIX = "-lens"
+"""Of the session's directory, by which `--pan-tilt` finds the latest one."""
+MOST_LOOKS = 300
+"""Five minutes at one look a second; whoever needs longer begins again."""
+_ANOTHER_SHARE = 0.04
+"""A view is another one when the board has moved by this share of the image's width."""
+
+OnView = Callable[[LensCoverage, str], None]
+"""Told after each look what is covered now, and what became of the look."""
+
+
+@dataclass(slots=True)
+class LensViews:
+    """The views kept so far."""
+
+    directory: Path
+    rows: list[FrameSetRow] = field(default_factory=list)
+    points_px: list[FloatArray] = field(default_factory=list)
+    poses: list[Pose] = field(default_factory=list)
+
+
+def take_lens_views(rig: Rig, state: Path, on_view: OnView) -> Path:
+    """Take lens views until they are enough; give the directory of their frame set.
+
+    A view is kept, durably, when the board is found in it, is sharp and held still, and shows
+    something else than the view before. Raises HardwareError when it is not enough after
+    `MOST_LOOKS` looks, DeviceError.
+    """
+    views = LensViews(
+        new_directory(state / FOLDER / f"{rig.clock.now_utc():%Y%m%dT%H%M%SZ}{SUFFIX}")
+    )
+    try:
+        for look in range(MOST_LOOKS):
+            if rig.hold_board is not None:
+                rig.hold_board(look)
+            said = _look(rig, views)
+            covered = lens_coverage(views.points_px, views.poses, rig.site.sub)
+            on_view(covered, said)
+            if views.rows and not covered.wishes:
+                return views.directory
+    finally:
+        if rig.hold_board is not None:
+            rig.hold_board(None)
+    msg = (
+        f"{len(views.rows)} lens views after {MOST_LOOKS} looks, still wanted: "
+        f"{covered.wishes[0]}; they are kept in {views.directory}"
+    )
+    raise HardwareError(msg)
+
+
+def _look(rig: Rig, views: LensViews) -> str:
+    """Look once; keep the view if it is of use. Says what became of it."""
+    try:
+        slot_utc, sight = settled_sight(rig.source, rig.clock, rig.site, board_only=True)
+    except HardwareError:
+        return "not kept: the board moves; hold it still"
+    if sight.problems or sight.board is None:
+        return f"not kept: {'; '.join(sight.problems)}"
+    points = sight.board.view.points_px
+    if views.points_px and _is_the_same(views.points_px[-1], points, rig.site.sub.width_px):
+        return "not kept: as the view before; hold the board another way"
+    pose = _rough_pose(rig, sight)
+    row = FrameSetRow(
+        slot_utc,
+        "intrinsics",
+        None,
+        write_frame(views.directory, slot_utc, "sub", sight.pair.sub),
+    )
+    views.rows.append(row)
+    views.points_px.append(points)
+    views.poses.append(pose)
+    write_table(views.directory, views.rows)
+    return f"view {len(views.rows)} kept"
+
+
+def _is_the_same(before: FloatArray, now: FloatArray, width_px: int) -> bool:
+    """Whether the board is where it was; by its corners' middle first, which is not periodic."""
+    middle_px = float(np.hypot(*(now.mean(axis=0) - before.mean(axis=0))))
+    if middle_px > _ANOTHER_SHARE * width_px:
+        return False
+    return len(before) == len(now) and common_motion_px(before, now) < 2.0
+
+
+def _rough_pose(rig: Rig, sight: Sight) -> Pose:
+    """Where the board is held, by the lens as drawn: right to a degree or two."""
+    board = Board.nominal(rig.site.sub_target)
+    assert sight.board is not None  # noqa: S101 - looked at by the caller
+    return resect(nominal_lens(rig.site.sub), board.corners_mm, sight.board.view).pose
+
+
+def latest_lens_views(state: Path) -> FrameSet | None:
+    """Give the latest lens views taken on this state directory, None if there are none."""
+    for directory in sorted((state / FOLDER).glob(f"*{SUFFIX}*"), reverse=True):
+        frames = read_frame_set(directory) if (directory / "frames.csv").exists() else None
+        if frames is not None and frames.rows_of("intrinsics"):
+            return frames
+    return None
