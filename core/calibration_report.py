@@ -10,6 +10,7 @@ import numpy as np
 
 from core.compensation import affine_error_px
 from core.dual import MIN_LENS_VIEWS, Fit, Recipe, drawn_rig, main_misses_px, rig_prior
+from core.lens_coverage import lens_coverage
 from core.observability import (
     DriftError,
     determined_share,
@@ -18,9 +19,10 @@ from core.observability import (
     model_sentence,
 )
 from core.paper import PaperModel
+from core.resection import resect
 from core.rig import Rig
 from core.setup import Setup
-from core.site import FloatArray
+from core.site import FloatArray, Site
 from core.views import Rejected
 
 _FEW_LENS_VIEWS = 10
@@ -194,6 +196,8 @@ def _figures(
             site.main_target.distance_mm, site.quality.expected_drift_mm, off_axis
         ),
         "max_rotation_mrad": setup.levels.max_rotation_rad * 1e3,
+        "rig_views": _rig_views(fit, setup),
+        "image_cells": _image_cells(fit, site),
     }
     if isinstance(setup.model, Rig):
         figures["determined_by_views"] = determined_share(fit.posterior, rig_prior(site)).tolist()
@@ -202,3 +206,31 @@ def _figures(
     else:
         figures["singular_values"] = setup.model.singular_values.tolist()
     return figures
+
+
+def _rig_views(fit: Fit, setup: Setup) -> list[dict[str, Any]]:
+    """Each rig position as a row would see it: the motion by the sub image alone, what is left."""
+    to_mm, reference = np.linalg.inv(setup.B), fit.views.reference.discs
+    positions = []
+    for view in fit.views.rig:
+        pose = resect(setup.lens, setup.corners_mm, view.board.view).pose
+        motion = pose.compose(setup.reference_pose.inverse())
+        left_px = main_misses_px(setup.model, view.discs, reference, motion).mean(axis=0)
+        positions.append(
+            {
+                "view": view.name,
+                "rotation_mrad": (motion.rotation_rad * 1e3).tolist(),
+                "translation_mm": motion.t_mm.tolist(),
+                "left_mm": (to_mm @ left_px).tolist(),
+            }
+        )
+    return positions
+
+
+def _image_cells(fit: Fit, site: Site) -> list[list[int]]:
+    """How many corners the views of the lens have in each cell of the sub image."""
+    lens_views = fit.views.lens
+    points = [view.board.view.points_px for view in lens_views]
+    poses = fit.adjusted.poses[len(fit.views.all) - len(lens_views) :]
+    cells: list[list[int]] = lens_coverage(points, poses, site.sub).cells.tolist()
+    return cells

@@ -57,7 +57,7 @@ def judge_lens(frames: FrameSet, site: Site, on_step: Callable[[str], None]) -> 
 
 def _verdict(calibration: LensCalibration, site: Site, left_out: list[str]) -> LensVerdict:
     adjusted, lens = calibration.adjusted, calibration.lens
-    sigmas = np.sqrt(np.diag(adjusted.covariance))[: lens.size]
+    sigmas = adjusted.posterior.lens_sigma
     focal_px, focal_sigma = float(lens.parameters[0]), float(sigmas[0] / lens.parameters[0])
     covered = lens_coverage(
         [_in_image(lens, pose.apply(adjusted.corners_mm), site.sub) for pose in adjusted.poses],

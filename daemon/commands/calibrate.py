@@ -16,6 +16,7 @@ from core.calibration import Method
 from core.lens_coverage import LensCoverage
 from daemon.calibration.lens_session import latest_lens_views, take_lens_views
 from daemon.calibration.lens_verdict import judge_lens
+from daemon.calibration.page import write_report_files
 from daemon.calibration.positions import VIEWS, Limits
 from daemon.calibration.run import CalibrationRun, calibrate_frames, store_run, views_in
 from daemon.calibration.session import (
@@ -123,11 +124,24 @@ def command(
         if directory is not None:
             run, taken_utc = calibrate_on(config, directory, Method(method), skew=skew)
         else:
-            lens = None if without_lens_views else found_lens_views(config, state, lens_views)
             run, taken_utc = calibrate_with_head(
-                config, state, Method(method), skew=skew, lens=lens, fresh=fresh
+                config,
+                state,
+                Method(method),
+                skew=skew,
+                lens=None if without_lens_views else found_lens_views(state, lens_views),
+                needs_lens=not without_lens_views,
+                fresh=fresh,
             )
-        return judge_and_store(config, store, run, taken_utc, accept=accept, as_json=as_json)
+        return judge_and_store(
+            config,
+            store,
+            run,
+            taken_utc,
+            accept=accept,
+            as_json=as_json,
+            keeps_page=directory is None,
+        )
 
 
 def calibrate_on(
@@ -147,6 +161,7 @@ def calibrate_with_head(
     *,
     skew: bool = False,
     lens: FrameSet | None = None,
+    needs_lens: bool = True,
     fresh: bool = False,
 ) -> tuple[CalibrationRun, datetime]:
     """Take the views with the pan-tilt head and calibrate on them; views that do not fit again.
@@ -169,6 +184,8 @@ def calibrate_with_head(
         stack.enter_context(cameras_to_oneself(state, "dcam-ctl calibrate"))
         before = begun.rows if begun else lens.rows if lens else ()
         rig = stack.enter_context(opened_rig(config, before))
+        if needs_lens and begun is None:
+            require_lens_views(rig, lens)
         with kept_when_interrupted(), progress(_steps(rig, lens, begun), "taking views") as steps:
             session = take_views(rig, state, config.config_hash(), lens, begun, steps.next, _tell)
         run, taken_utc = calibrate_on(config, session.directory, method, skew=skew)
@@ -207,25 +224,28 @@ def _misfits(run: CalibrationRun) -> list[str]:
     return [match[1] for match in named if match]
 
 
-def found_lens_views(config: Config, state: Path, directory: Path | None) -> FrameSet | None:
-    """Give the lens views to calibrate with: those named, else the latest taken.
+def found_lens_views(state: Path, directory: Path | None) -> FrameSet | None:
+    """Give the lens views to calibrate with: those named, else the latest taken, if any.
 
-    None for a simulated rig without any, which takes its own. Raises FrameSetError, UsageError.
+    Raises FrameSetError, UsageError.
     """
     if directory is None:
-        latest = latest_lens_views(state)
-        if latest is None and config.camera.main.backend != "simulated":
-            msg = (
-                "no lens views yet, and pan and tilt do not determine a lens; take them with "
-                "dcam-ctl calibrate --intrinsics, or give --lens-views DIR or --without-lens-views"
-            )
-            raise UsageError(msg)
-        return latest
+        return latest_lens_views(state)
     frames = read_frame_set(directory)
     if not frames.rows_of("intrinsics"):
         msg = f"{directory}: holds no lens views (rows of role intrinsics)"
         raise UsageError(msg)
     return frames
+
+
+def require_lens_views(rig: Rig, lens: FrameSet | None) -> None:
+    """Raise UsageError where lens views are neither there nor can be taken without a person."""
+    if lens is None and rig.hold_board is None:
+        msg = (
+            "no lens views yet, and pan and tilt do not determine a lens; take them with "
+            "dcam-ctl calibrate --intrinsics, or give --lens-views DIR or --without-lens-views"
+        )
+        raise UsageError(msg)
 
 
 def calibrate_intrinsics(
@@ -313,8 +333,11 @@ def judge_and_store(
     *,
     accept: bool,
     as_json: bool,
+    keeps_page: bool = False,
 ) -> int:
     """Store a calibration, active if it may be, and tell it; give the exit code.
+
+    keeps_page: write the report beside the frames too, which are ours to add to.
 
     Only a question shows the report before it is stored: a reader of stdout that goes away
     (`| head`) must not cost the calibration.
@@ -328,6 +351,7 @@ def judge_and_store(
     else:
         active = accept or passed
     number = store_run(store, run, config, created_utc, activate=active)
+    page = write_page(run, config.name, number, created_utc, active=active) if keeps_page else None
     if accept and not passed:
         note("warning: accepted although it did not pass")
     if as_json:
@@ -336,7 +360,27 @@ def judge_and_store(
     if not asks:
         say_report(run)
     say(f"Stored as calibration {number}, {'active now' if active else 'not active'}.")
+    if page is not None:
+        say(f"Report with figures: {page}")
     return ExitCode.DONE if passed or active else ExitCode.FAILED
+
+
+def write_page(
+    run: CalibrationRun, site: str, number: int, created_utc: datetime, *, active: bool
+) -> Path | None:
+    """Write the report's files; a disk that refuses them does not cost the calibration."""
+    try:
+        return write_report_files(
+            run.directory,
+            run.report,
+            site=site,
+            number=number,
+            active=active,
+            created_utc=created_utc,
+        )
+    except OSError as error:
+        note(f"warning: {run.directory}: the report's files could not be written ({error})")
+        return None
 
 
 def say_report(run: CalibrationRun) -> None:

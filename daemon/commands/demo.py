@@ -66,7 +66,9 @@ def command(output: Path | None) -> None:
         site.config, site.state_directory, Method.RIGID, fresh=True
     )
     with open_store(site.state_directory) as store:
-        judge_and_store(site.config, store, run, taken_utc, accept=True, as_json=False)
+        judge_and_store(
+            site.config, store, run, taken_utc, accept=True, as_json=False, keeps_page=True
+        )
     say(f"\n2. dcamd, {SLOTS} slots, {span_text(site.config.schedule.period_s)} apart")
     run_dcamd(site, directory / LOG)
     with open_store_readonly(site.state_directory) as store:

@@ -17,7 +17,7 @@ import pytest
 
 from daemon.config import load_config
 from daemon.store.database import open_store, open_store_readonly
-from drivers.frameset import encode_png, read_frame_set
+from drivers.frameset import encode_png, format_slot, read_frame_set
 from drivers.sim.settings import SimSettings
 from drivers.sim.world import World
 from tests.commands.conftest import CONFIG, SEED, SIMULATED, Ctl, edit_table
@@ -228,7 +228,7 @@ def test_database_of_a_newer_version_is_left_alone(ctl: Ctl, bench: Path, tmp_pa
 def test_one_source_of_views_must_be_named(ctl: Ctl, bench: Path, sources: list[str]) -> None:
     ran = ctl("--config", bench / "dcam.toml", "calibrate", *sources)
     assert ran.code == 2
-    assert "either --from DIR or --pan-tilt" in ran.err
+    assert "give one of --from DIR, --pan-tilt, --intrinsics" in ran.err
 
 
 def test_pan_tilt_without_a_head_is_a_clear_line(ctl: Ctl, bench: Path, tmp_path: Path) -> None:
@@ -253,6 +253,15 @@ def test_pan_tilt_takes_views_keeps_them_and_calibrates_on_them(ctl: Ctl, tmp_pa
     assert {(row.pan_deg, row.tilt_deg) for row in frames.rows_of("reference")} == {(0.0, 0.0)}
     assert np.ptp([row.pan_deg for row in frames.rows_of("rig")]) > 0.2
     assert np.ptp([row.tilt_deg for row in frames.rows_of("rig")]) > 0.1
+    page = (frames.directory / "report.html").read_text()
+    report = json.loads((frames.directory / "report.json").read_text())
+    assert report["lines"] == result["lines"]
+    assert (frames.directory / "report.txt").read_text().splitlines() == result["lines"]
+    assert page.count("<svg") == 2
+    assert "http-equiv" not in page
+    assert "src=" not in page  # the page stands alone
+    for row in frames.rows_of("rig"):
+        assert f"rig {format_slot(row.slot_utc)} (" in page
     shutil.copytree(frames.directory, tmp_path / "again")
     again = ctl(
         *("--config", config, "--state", state, "calibrate", "--from", tmp_path / "again"),
