@@ -169,12 +169,26 @@ def open_calibration_rig(config: Config, clock: Clock) -> CalibrationRig:
     return CalibrationRig(open_pair_source(config, clock), open_head(config), hold_board=None)
 
 
+def open_bench(
+    config: Config, clock: Clock
+) -> tuple[FramePairSource, Callable[[int | None], None] | None]:
+    """Give the cameras for lens views, and who holds the board: None is a person.
+
+    Raises as `open_pair_source`.
+    """
+    if require_backend(config) == "simulated":
+        rig = open_simulated_rig(config, clock)
+        return rig.source, rig.world.hold_board
+    return open_pair_source(config, clock), None
+
+
 def open_head(config: Config) -> PanTiltHead:
     """Give the head at the configured port; it is opened when it is first needed.
 
     Raises ConfigError.
     """
     from drivers.head_home import HomedHead
+
     from drivers.pelco_d import PelcoHead, TimedPelcoHead
     from drivers.ptu_ascii import PtuHead
     from drivers.serial_line import SerialLine

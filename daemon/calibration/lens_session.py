@@ -13,11 +13,12 @@ from core.intrinsics import nominal_lens
 from core.lens_coverage import LensCoverage, lens_coverage
 from core.pose import Pose
 from core.resection import resect
-from core.site import FloatArray
-from daemon.calibration.session import FOLDER, Rig, new_directory, write_frame
+from core.site import FloatArray, Site
+from daemon.calibration.session import FOLDER, new_directory, write_frame
 from daemon.calibration.sight import Sight, common_motion_px, settled_sight
 from daemon.errors import HardwareError
 from drivers.frameset import FrameSet, FrameSetRow, read_frame_set, write_table
+from drivers.protocols import Clock, FramePairSource
 
 SUFFIX = "-lens"
 """Of the session's directory, by which `--pan-tilt` finds the latest one."""
@@ -30,6 +31,17 @@ OnView = Callable[[LensCoverage, str], None]
 """Told after each look what is covered now, and what became of the look."""
 
 
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """What lens views are taken with: no head, the board is in somebody's hand."""
+
+    site: Site
+    source: FramePairSource
+    clock: Clock
+    hold_board: Callable[[int | None], None] | None
+    """Holds the board in pose n, and bonds it with None; None where a person does."""
+
+
 @dataclass(slots=True)
 class LensViews:
     """The views kept so far."""
@@ -40,7 +52,7 @@ class LensViews:
     poses: list[Pose] = field(default_factory=list)
 
 
-def take_lens_views(rig: Rig, state: Path, on_view: OnView) -> Path:
+def take_lens_views(bench: Bench, state: Path, on_view: OnView) -> Path:
     """Take lens views until they are enough; give the directory of their frame set.
 
     A view is kept, durably, when the board is found in it, is sharp and held still, and shows
@@ -48,20 +60,20 @@ def take_lens_views(rig: Rig, state: Path, on_view: OnView) -> Path:
     `MOST_LOOKS` looks, DeviceError.
     """
     views = LensViews(
-        new_directory(state / FOLDER / f"{rig.clock.now_utc():%Y%m%dT%H%M%SZ}{SUFFIX}")
+        new_directory(state / FOLDER / f"{bench.clock.now_utc():%Y%m%dT%H%M%SZ}{SUFFIX}")
     )
     try:
         for look in range(MOST_LOOKS):
-            if rig.hold_board is not None:
-                rig.hold_board(look)
-            said = _look(rig, views)
-            covered = lens_coverage(views.points_px, views.poses, rig.site.sub)
+            if bench.hold_board is not None:
+                bench.hold_board(look)
+            said = _look(bench, views)
+            covered = lens_coverage(views.points_px, views.poses, bench.site.sub)
             on_view(covered, said)
             if views.rows and not covered.wishes:
                 return views.directory
     finally:
-        if rig.hold_board is not None:
-            rig.hold_board(None)
+        if bench.hold_board is not None:
+            bench.hold_board(None)
     msg = (
         f"{len(views.rows)} lens views after {MOST_LOOKS} looks, still wanted: "
         f"{covered.wishes[0]}; they are kept in {views.directory}"
@@ -69,18 +81,18 @@ def take_lens_views(rig: Rig, state: Path, on_view: OnView) -> Path:
     raise HardwareError(msg)
 
 
-def _look(rig: Rig, views: LensViews) -> str:
+def _look(bench: Bench, views: LensViews) -> str:
     """Look once; keep the view if it is of use. Says what became of it."""
     try:
-        slot_utc, sight = settled_sight(rig.source, rig.clock, rig.site, board_only=True)
+        slot_utc, sight = settled_sight(bench.source, bench.clock, bench.site, board_only=True)
     except HardwareError:
         return "not kept: the board moves; hold it still"
     if sight.problems or sight.board is None:
         return f"not kept: {'; '.join(sight.problems)}"
     points = sight.board.view.points_px
-    if views.points_px and _is_the_same(views.points_px[-1], points, rig.site.sub.width_px):
+    if views.points_px and _is_the_same(views.points_px[-1], points, bench.site.sub.width_px):
         return "not kept: as the view before; hold the board another way"
-    pose = _rough_pose(rig, sight)
+    pose = _rough_pose(bench, sight)
     row = FrameSetRow(
         slot_utc,
         "intrinsics",
@@ -102,11 +114,11 @@ def _is_the_same(before: FloatArray, now: FloatArray, width_px: int) -> bool:
     return len(before) == len(now) and common_motion_px(before, now) < 2.0
 
 
-def _rough_pose(rig: Rig, sight: Sight) -> Pose:
+def _rough_pose(bench: Bench, sight: Sight) -> Pose:
     """Where the board is held, by the lens as drawn: right to a degree or two."""
-    board = Board.nominal(rig.site.sub_target)
+    board = Board.nominal(bench.site.sub_target)
     assert sight.board is not None  # noqa: S101 - looked at by the caller
-    return resect(nominal_lens(rig.site.sub), board.corners_mm, sight.board.view).pose
+    return resect(nominal_lens(bench.site.sub), board.corners_mm, sight.board.view).pose
 
 
 def latest_lens_views(state: Path) -> FrameSet | None:

@@ -14,7 +14,7 @@ import click
 
 from core.calibration import Method
 from core.lens_coverage import LensCoverage
-from daemon.calibration.lens_session import latest_lens_views, take_lens_views
+from daemon.calibration.lens_session import Bench, latest_lens_views, take_lens_views
 from daemon.calibration.lens_verdict import judge_lens
 from daemon.calibration.page import write_report_files
 from daemon.calibration.positions import VIEWS, Limits
@@ -31,8 +31,9 @@ from daemon.commands.options import Options, common_options, json_option, pass_o
 from daemon.commands.output import note, print_json, progress, say
 from daemon.config import Config
 from daemon.control import cameras_to_oneself
-from daemon.devices import open_clock, open_simulated_rig, require_backend
-from daemon.errors import ExitCode, HardwareError, UsageError, WorkFailedError
+from daemon.devices import open_bench, open_calibration_rig, open_clock
+from daemon.errors import ExitCode, UsageError, WorkFailedError
+from daemon.health import has_stepped_clock
 from daemon.store.database import Store, open_store
 from drivers.frameset import FrameSet, FrameSetRow, read_frame_set
 
@@ -166,10 +167,10 @@ def calibrate_with_head(
 ) -> tuple[CalibrationRun, datetime]:
     """Take the views with the pan-tilt head and calibrate on them; views that do not fit again.
 
-    Raises HardwareError for a backend without a head, AlreadyRunningError, HeadError,
+    Raises ConfigError and HardwareError where there is no head, AlreadyRunningError, HeadError,
     DeviceError, CalibrationError.
     """
-    simulated_clock = config.simulation.clock == "stepped"
+    simulated_clock = has_stepped_clock(config)
     begun = (
         None
         if fresh
@@ -256,9 +257,9 @@ def calibrate_intrinsics(
         with ExitStack() as stack:
             stack.enter_context(stopping_cleanly())
             stack.enter_context(cameras_to_oneself(state, "dcam-ctl calibrate"))
-            rig = stack.enter_context(opened_rig(config, ()))
+            bench = stack.enter_context(opened_bench(config))
             stack.enter_context(kept_when_interrupted())
-            directory = take_lens_views(rig, state, show_lens_view)
+            directory = take_lens_views(bench, state, show_lens_view)
     frames = read_frame_set(directory)
     views = frames.rows_of("intrinsics")
     if not views:
@@ -285,27 +286,32 @@ def show_lens_view(covered: LensCoverage, said: str) -> None:
 def opened_rig(config: Config, before: Sequence[FrameSetRow]) -> Iterator[Rig]:
     """Open cameras and head for a session; simulated time goes on after the views before it.
 
-    Raises HardwareError for a backend without a head.
+    Raises as `open_calibration_rig`.
     """
-    backend = require_backend(config)
-    if backend != "simulated":
-        msg = f"no pan-tilt head for backend {backend} in this version; use --from DIR"
-        raise HardwareError(msg)
     begin_utc = config.simulation.start_utc - BEFORE_THE_STORY
     if before:
         begin_utc = max(begin_utc, before[-1].slot_utc + timedelta(seconds=1))
     clock = open_clock(config, begin_utc=begin_utc)
-    devices = open_simulated_rig(config, clock)
-    head = devices.world.settings.head
+    devices = open_calibration_rig(config, clock)
     with closing(devices.source), closing(devices.head):
         yield Rig(
             config.site(),
             devices.source,
             devices.head,
-            Limits(head.limit_pan_deg, head.limit_tilt_deg),
+            Limits(*config.pan_tilt.room_deg()),
             clock,
-            devices.world.hold_board,
+            devices.hold_board,
         )
+
+
+@contextmanager
+def opened_bench(config: Config) -> Iterator[Bench]:
+    """Open what lens views need: the cameras, and no head."""
+    begin_utc = config.simulation.start_utc - BEFORE_THE_STORY
+    clock = open_clock(config, begin_utc=begin_utc)
+    source, hold_board = open_bench(config, clock)
+    with closing(source):
+        yield Bench(config.site(), source, clock, hold_board)
 
 
 @contextmanager

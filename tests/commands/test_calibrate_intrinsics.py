@@ -11,7 +11,7 @@ import pytest
 from core.lens_coverage import COLUMNS, ENOUGH_VIEWS, ROWS, lens_coverage
 from core.pose import Pose
 from core.site import CameraGeometry
-from daemon.calibration.lens_session import latest_lens_views, take_lens_views
+from daemon.calibration.lens_session import Bench, latest_lens_views, take_lens_views
 from drivers.frameset import read_frame_set, write_table
 from drivers.protocols import CapturedPair
 from tests.commands.conftest import SIMULATED, Ctl
@@ -132,12 +132,17 @@ def held(config: Path) -> Watched:
     return made
 
 
+def bench_of(held: Watched) -> Bench:
+    rig = held.rig
+    return Bench(rig.site, rig.source, rig.clock, rig.hold_board)
+
+
 def test_a_board_that_is_not_moved_on_is_kept_once(held: Watched, tmp_path: Path) -> None:
     held.rig = replace(
         held.rig, hold_board=lambda number: held.world.hold_board((number or 0) // 3)
     )
     said: list[str] = []
-    directory = take_lens_views(held.rig, tmp_path, lambda _covered, text: said.append(text))
+    directory = take_lens_views(bench_of(held), tmp_path, lambda _covered, text: said.append(text))
     assert said[0] == "view 1 kept"
     assert said[1] == said[2] == "not kept: as the view before; hold the board another way"
     assert said[3] == "view 2 kept"
@@ -165,7 +170,7 @@ def test_a_moving_or_covered_board_is_not_kept(held: Watched, tmp_path: Path) ->
     held.spoil = spoil
     held.rig = replace(held.rig, hold_board=hold)
     said: list[str] = []
-    take_lens_views(held.rig, tmp_path, lambda _covered, text: said.append(text))
+    take_lens_views(bench_of(held), tmp_path, lambda _covered, text: said.append(text))
     assert said[0] == "not kept: the board moves; hold it still"
     assert said[1].startswith("not kept: no checkerboard")
     assert said[2] == "view 1 kept"
@@ -185,7 +190,10 @@ def test_the_head_calibration_uses_the_latest_lens_views(
 
 def test_a_real_rig_without_lens_views_is_told_to_take_them(ctl: Ctl, tmp_path: Path) -> None:
     config = tmp_path / "dcam.toml"
-    config.write_text(SIMULATED.replace('"simulated"', '"aravis"'))
+    text = SIMULATED.replace('"simulated"', '"aravis"')
+    for serial in ("111", "222"):
+        text = text.replace('"aravis"\nwidth', f'"aravis"\nserial = "{serial}"\nwidth', 1)
+    config.write_text(text + '[pan_tilt]\nbackend = "ptu"\nport = "/dev/null"\n')
     ran = ctl("--config", config, "--state", tmp_path / "state", "calibrate", "--pan-tilt")
     assert ran.code == 2
     assert "dcam-ctl calibrate --intrinsics" in ran.err
