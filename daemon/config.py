@@ -79,6 +79,20 @@ def _contradictions(config: Config) -> list[str]:
             f"is {schedule.offset_s}"
         )
     problems += _burst_problems(config)
+    head = config.pan_tilt
+    for axis, home, (low, high) in (
+        ("pan", head.home_deg[0], head.pan_limits_deg),
+        ("tilt", head.home_deg[1], head.tilt_limits_deg),
+    ):
+        if not low < high:
+            problems.append(
+                f"pan_tilt.{axis}_limits_deg: the lower limit first, is [{low:g}, {high:g}]"
+            )
+        elif not low < home < high:
+            problems.append(
+                f"pan_tilt.home_deg: {axis} {home:g} is not within {axis}_limits_deg = "
+                f"[{low:g}, {high:g}]"
+            )
     for number, scenario in enumerate(config.simulation.scenarios):
         if scenario.end_min is not None and scenario.end_min <= scenario.start_min:
             problems.append(

@@ -27,7 +27,7 @@ class SimulatedCamera:
         self._serial = serial or f"simulated-{role}"
         self._open = False
         self._frame_id = 0
-        self._triggered: tuple[datetime, float] | None = None
+        self._triggered: tuple[datetime, float, tuple[float, float]] | None = None
 
     @property
     def serial(self) -> str:
@@ -47,7 +47,8 @@ class SimulatedCamera:
     def trigger(self) -> None:
         """Expose now."""
         self._require_present()
-        self._triggered = (self._clock.now_utc(), self._clock.monotonic_s())
+        when_utc, monotonic_s = self._clock.now_utc(), self._clock.monotonic_s()
+        self._triggered = (when_utc, monotonic_s, self._world.head_deg())
         self._frame_id += 1
 
     def fetch(self, timeout_s: float) -> CapturedFrame:
@@ -58,10 +59,10 @@ class SimulatedCamera:
                 f"{self._role} camera {self._serial}: no frame in {timeout_s:g} s; trigger it first"
             )
             raise FrameTimeoutError(msg, self._role)
-        (when_utc, monotonic_s), self._triggered = self._triggered, None
+        (when_utc, monotonic_s, head_deg), self._triggered = self._triggered, None
         hour = when_utc.hour + when_utc.minute / 60.0
         return CapturedFrame(
-            pixels=self._world.render(self._role, when_utc),
+            pixels=self._world.render(self._role, when_utc, head_deg),
             bits=self._world.settings.sensor.bits,
             frame_id=self._frame_id,
             camera_time_ns=round(monotonic_s * 1e9),

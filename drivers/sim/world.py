@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime
 
@@ -61,7 +62,7 @@ class World:
         self.settings = settings
         self.geometry: TrueGeometry = build_geometry(site, settings)
         self._motion = TrueMotion(settings)
-        self._head_deg = (0.0, 0.0)
+        self._head_deg: Callable[[], tuple[float, float]] = lambda: (0.0, 0.0)
         self._held: tuple[int, Pose] | None = None
         self._slip = Pose.identity()
         self._board = self.geometry.board
@@ -88,11 +89,15 @@ class World:
 
     def turn_head(self, pan_deg: float, tilt_deg: float) -> None:
         """Put the pan-tilt head at these true angles."""
-        self._head_deg = (pan_deg, tilt_deg)
+        self._head_deg = lambda: (pan_deg, tilt_deg)
+
+    def follow_head(self, angles_deg: Callable[[], tuple[float, float]]) -> None:
+        """Let the rig stand on a head that says where it is whenever it is asked."""
+        self._head_deg = angles_deg
 
     def head_deg(self) -> tuple[float, float]:
-        """Give the true angles of the pan-tilt head, now."""
-        return self._head_deg
+        """Give the true angles of the pan-tilt head, now. Raises DeviceError for one elsewhere."""
+        return self._head_deg()
 
     def hold_board(self, number: int | None) -> None:
         """Hold the board by hand before the sub-camera, in pose `number`; None: bonded again."""
@@ -165,12 +170,17 @@ class World:
 
     # ------------------------------------------------------------------ what the cameras see
 
-    def render(self, role: Role, t_utc: datetime) -> Image:
-        """Render one camera's image; the same instant gives the same image, noise and all."""
+    def render(
+        self, role: Role, t_utc: datetime, head_deg: tuple[float, float] | None = None
+    ) -> Image:
+        """Render one camera's image; the same instant gives the same image, noise and all.
+
+        `head_deg` is where the head was at that instant, if it has moved since.
+        """
         number = self._held[0] + 1 if self._held else 0
         moment_us = round(t_utc.timestamp() * 1e6)
         rng = np.random.default_rng([self.settings.seed, 5, role == "sub", number, moment_us])
-        optics, state = self.settings.optics, self._state(t_utc, role)
+        optics, state = self.settings.optics, self._state(t_utc, role, head_deg)
         renderer = self._renderers[role]
         if role == "main":
             greys = np.array([optics.main_white, optics.main_black, optics.main_grey])
@@ -204,10 +214,12 @@ class World:
     def _minute(self, t_utc: datetime) -> float:
         return (t_utc - self.settings.start_utc).total_seconds() / 60.0
 
-    def _state(self, t_utc: datetime, role: Role = "sub") -> _State:
+    def _state(
+        self, t_utc: datetime, role: Role = "sub", head_deg: tuple[float, float] | None = None
+    ) -> _State:
         """Where everything is; the main camera may shake apart from the sub-camera."""
         minute = self._minute(t_utc)
-        turned = self.geometry.head_pose(*self._head_deg).inverse()
+        turned = self.geometry.head_pose(*(head_deg or self.head_deg())).inverse()
         moved = turned.compose(self._motion.drift(minute))
         if self.active("vibration", t_utc):
             moved = self._shake(t_utc, role).compose(moved)
