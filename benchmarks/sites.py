@@ -72,6 +72,8 @@ class Case:
     """None: 11 m in the laboratory, 22 m in the field."""
     shrink: float = 1.0
     """Fewer pixels in both images and on both targets, for a quick look."""
+    quiet_rows: bool = False
+    """Rows without image noise: their errors, and the sigma here, are the calibration's alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +168,7 @@ class SeenWorld:
     """A world seen without images: true points with noise of a known covariance."""
 
     def __init__(self, world: World, case: Case) -> None:
-        self.world, self.site = world, world.site
+        self.world, self.site, self._quiet_rows = world, world.site, case.quiet_rows
         self._rng = np.random.default_rng([world.settings.seed, 79])
         target = self.site.sub_target
         crossings = world.geometry.board.corners_mm()[1:-1, 1:-1].reshape(-1, 3)
@@ -187,7 +189,8 @@ class SeenWorld:
         index = np.nonzero(((true_px > MARGIN_PX) & (true_px < size_px)).all(axis=1))[0]
         square_px = site.sub.focal_px * site.sub_target.square_mm / pose.t_mm[2]
         sigma_px = _edge_sigma_px(0.92 * square_px)
-        noisy = true_px[index] + sigma_px * self._rng.normal(size=(len(index), 2))
+        noise_px = self._noise(shot) * sigma_px
+        noisy = true_px[index] + noise_px * self._rng.normal(size=(len(index), 2))
         covariance = np.tile(sigma_px**2 * np.eye(2), (len(index), 1, 1))
         view = BoardView(index, noisy, covariance)
         return LocatedBoard(view, True, len(index), NOISE_DN, CONTRAST_DN, BLUR_PX)  # noqa: FBT003
@@ -197,9 +200,12 @@ class SeenWorld:
         true_px = self.world.disc_centres_px(shot.utc)
         radius_px = 0.5 * self.site.main_target.diameters_mm.max() * self.site.nominal_px_per_mm
         sigma_px, n = _edge_sigma_px(math.pi * radius_px), len(true_px)
-        noisy = true_px + sigma_px * self._rng.normal(size=true_px.shape)
+        noisy = true_px + self._noise(shot) * sigma_px * self._rng.normal(size=true_px.shape)
         covariance = np.tile(sigma_px**2 * np.eye(2), (n, 1, 1))
         return Discs(np.ones(n, bool), noisy, covariance, np.ones(n), CONTRAST_DN, BLUR_PX)
+
+    def _noise(self, shot: Shot) -> float:
+        return 0.0 if self._quiet_rows and shot.role is None else 1.0
 
     def pair(self, name: str, shot: Shot) -> PairView:
         """Both targets."""
@@ -234,7 +240,9 @@ def run_numbers(case: Case, seed: int) -> Outcome:
         found, _ = corrected_displacement(setup, pair.discs, board, pair.board.view)
         head.move_to(*shot.head_deg)
         truth = world.truth(shot.utc)
-        rows.append(Row(found.mm - truth.displacement_mm, found.covariance_mm2, good=True))
+        covariance = found.shared_mm2 if case.quiet_rows else found.covariance_mm2
+        assert covariance is not None
+        rows.append(Row(found.mm - truth.displacement_mm, covariance, good=True))
     return Outcome(seed, tuple(rows), 0, passed=True)
 
 
@@ -338,6 +346,7 @@ def main() -> None:
         options.corner_um,
         None if options.distance_m is None else options.distance_m * 1000.0,
         options.shrink,
+        options.quiet_rows,
     )
     run = partial(run_rendered if options.render else run_numbers, case)
     seeds = range(options.seed, options.seed + options.sites)
@@ -366,6 +375,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--bow-um", type=float, default=25.0)
     made.add_argument("--distance-m", type=float)
     made.add_argument("--shrink", type=float, default=1.0, help="fewer pixels")
+    made.add_argument("--quiet-rows", action="store_true", help="the calibration's errors alone")
     made.add_argument("--render", action="store_true", help="render and look at every image")
     made.add_argument("--jobs", type=int, default=1, help="processes")
     made.add_argument("--quiet", action="store_true", help="the pooled line only")

@@ -27,7 +27,7 @@ from core.rig import MainView, Rig
 from core.site import FloatArray
 
 _TOLERANT = 30.0
-_SETTLED, _SPREAD_SETTLED = 1e-3, 0.03
+_SETTLED, _SETTLED_SIGMAS, _SPREAD_SETTLED = 1e-3, 0.02, 0.03
 _LINE_FLOOR_MM, _CORNER_FLOOR_MM = 3e-4, 5e-5
 _PSEUDO_LINES, _PSEUDO_LINE_MM = 2.0, 5e-3
 """A board has few lines: their spread is drawn a little towards that of a fair print."""
@@ -88,10 +88,9 @@ def adjust(
     scale = _TOLERANT  # at first, then let the weights tighten as the fit gets good
     for _ in range(iterations):
         system = problem.linearise(state, scale, spreads)
-        step, offset_step = system.solve()
+        step, offset_step, sigmas = system.solve()
         state = problem.step(state, step, offset_step)
-        settled = float(np.abs(step / problem.step_unit).max()) < _SETTLED
-        if settled and abs(system.scale - scale) < _SETTLED * scale:
+        if sigmas < _SETTLED_SIGMAS and abs(system.scale - scale) < _SETTLED * scale:
             renewed = _renewed(spreads, problem, state, system, board.columns)
             if spreads.like(renewed, _SPREAD_SETTLED):
                 break

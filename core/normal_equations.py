@@ -138,15 +138,17 @@ class System:
         flat, weighted_flat = self.cross.reshape(-1, size), weighted.reshape(-1, size)
         return self.dense - flat.T @ weighted_flat
 
-    def solve(self) -> tuple[FloatArray, FloatArray]:
-        """Step of the dense unknowns and of the corner offsets."""
+    def solve(self) -> tuple[FloatArray, FloatArray, float]:
+        """Step of the dense unknowns and of the corner offsets, and its length in sigmas."""
         inverse_right = np.linalg.solve(self.corner, self.corner_right[:, :, None])[:, :, 0]
         right = self.right - np.einsum("cas,ca->s", self.cross, inverse_right)
         reduced = self.reduced()
         unit = 1.0 / np.sqrt(np.diag(reduced))
         step = unit * np.linalg.solve(reduced * unit[:, None] * unit, right * unit)
         rest = self.corner_right - self.cross @ step
-        return step, np.linalg.solve(self.corner, rest[:, :, None])[:, :, 0]
+        offsets = np.linalg.solve(self.corner, rest[:, :, None])[:, :, 0]
+        gain = float(right @ step) + float((self.corner_right * inverse_right).sum())
+        return step, offsets, float(np.sqrt(max(gain, 0.0))) / self.scale
 
     def factor(self) -> FloatArray:
         """F (size, size) with F F^T the covariance of the dense unknowns."""
@@ -181,7 +183,6 @@ class Problem:
         lines = np.full(terms.shape[2] - len(shape), priors.line_mm)
         sigma[layout.shape] = np.concatenate([shape, lines])
         self.sigma = sigma
-        self.step_unit = np.where(np.isfinite(sigma) & (sigma > 0), sigma, 1.0) * 1e-3
 
     def linearise(self, state: State, scale: float, spreads: Spreads) -> System:
         """Sum up what all views and priors say about a step from this state."""

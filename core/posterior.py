@@ -131,6 +131,8 @@ class Effects:
     """(n,) the corners seen."""
     by_corners: FloatArray
     """(k, n, 3)."""
+    floor: FloatArray
+    """(k, k) covariance of what the model leaves out."""
 
     def through(self, posterior: Posterior) -> FloatArray:
         """(k, r) the value's factor: its covariance is this by its transpose, and `own`."""
@@ -151,10 +153,10 @@ class Effects:
         return np.asarray(factor @ factor.T + self.own(posterior))
 
     def own(self, posterior: Posterior) -> FloatArray:
-        """(k, k) covariance from the corners' own errors."""
+        """(k, k) covariance from the corners' own errors, and the floor."""
         flat = self.by_corners[:, :, :2]
         spread = np.einsum("kna,nab->knb", flat, posterior.own_mm2[self.index])
-        return np.asarray(np.einsum("knb,lnb->kl", spread, flat))
+        return np.asarray(np.einsum("knb,lnb->kl", spread, flat) + self.floor)
 
 
 def _rounded(array: FloatArray) -> FloatArray:

@@ -17,6 +17,9 @@ from core.site import CameraGeometry, FloatArray, IntArray
 
 DISC_FLOOR_PX = 0.0007
 """What a located disc is not trusted beyond, however low the noise."""
+MAIN_GEOMETRY = 5e-5
+"""Of a false shift: the main camera is modelled without distortion and with square pixels. Sites
+with pixels off square by 1 in 10,000, as simulated, have this error."""
 _MARGIN_PX = 2.0
 
 
@@ -92,7 +95,11 @@ def shift_effects(
     by_lens, by_corners = pose_follows(setup.lens, pose, setup.corners_mm, view, root, by_pose)
     by_discs = np.zeros((2, len(setup.reference_discs_px), 2))
     by_discs[:, which] = np.eye(2)[:, None] * weights[:, None]
-    return Effects(by_lens, by_model, by_reference, by_discs, view.index, by_corners), by_pose
+    floor = np.diag((MAIN_GEOMETRY * (weights @ prediction.shift_px)) ** 2)
+    return (
+        Effects(by_lens, by_model, by_reference, by_discs, view.index, by_corners, floor),
+        by_pose,
+    )
 
 
 def reference_noise(setup: Setup, camera: CameraGeometry) -> FloatArray:
@@ -106,7 +113,9 @@ def reference_noise(setup: Setup, camera: CameraGeometry) -> FloatArray:
     )
     nothing = np.zeros((6, len(setup.posterior.model)))
     no_discs = np.zeros((6, len(setup.reference_discs_px), 2))
-    effects = Effects(by_lens, nothing, np.zeros((6, 6)), no_discs, view.index, by_corners)
+    effects = Effects(
+        by_lens, nothing, np.zeros((6, 6)), no_discs, view.index, by_corners, np.zeros((6, 6))
+    )
     return setup.posterior.reference - effects.through(setup.posterior)
 
 

@@ -32,5 +32,5 @@ def test_a_sure_calibration_asks_for_nothing(field: Session) -> None:
     columns = setup.posterior.lens.shape[1]
     posterior = setup.posterior.times(1e-4 * np.eye(columns))
     sure = replace(setup, posterior=replace(posterior, own_mm2=1e-8 * posterior.own_mm2))
-    assert max(error.calibration_mm for error in drift_errors(sure, field.site)) < 1e-3
+    assert max(error.calibration_mm for error in drift_errors(sure, field.site)) < 2e-3
     assert further_motion(sure, field.site) is None
