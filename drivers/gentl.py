@@ -197,7 +197,10 @@ def _start_worker() -> _Worker:
 
 def _end_of(process: subprocess.Popen[bytes]) -> str:
     """How a process ended that should not have."""
-    code = process.wait(KILL_S)
+    try:
+        code = process.wait(KILL_S)
+    except subprocess.TimeoutExpired:
+        return "fell silent"
     if code < 0:
         return f"crashed ({signal.Signals(-code).name})"
     return f"ended (exit code {code})"

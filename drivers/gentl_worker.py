@@ -18,10 +18,12 @@ from typing import Any
 
 import structlog
 
-from drivers.errors import DriverError
+from drivers.errors import DeviceLostError, DriverError
 from drivers.genicam_session import Session
 from drivers.gentl_calls import Call, Reply, Setup
 from drivers.gentl_device import GentlDevice
+
+_log = structlog.get_logger("dcam.drivers")
 
 ALARM_MARGIN_S = 2.0
 """Who called has ended this process before; the alarm is for when that one is dead too."""
@@ -48,7 +50,7 @@ class _Collector:
 def serve(connection: Connection) -> None:
     """Answer calls until the other end closes."""
     collector = _Collector()
-    structlog.configure(processors=[collector])
+    structlog.configure(processors=[structlog.processors.format_exc_info, collector])
     setup: Setup = connection.recv()
     session: Session | None = None
     while True:
@@ -65,6 +67,13 @@ def serve(connection: Connection) -> None:
             value = getattr(session, call.name)(*call.arguments)
         except DriverError as raised:
             error = raised.with_traceback(None)
+        except Exception as raised:  # noqa: BLE001  (harvesters asserts, and raises ValueError)
+            # The camera is opened anew, and the log says where it was.
+            _log.exception("camera_fault", serial=setup.serial, call=call.name)
+            error = DeviceLostError(
+                f"camera {setup.serial}: {call.name} failed: {type(raised).__name__}: {raised};"
+                " it will be opened anew"
+            )
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         connection.send(Reply(value, error, collector.take()))
         if call.name == "release":

@@ -1,0 +1,98 @@
+"""`dcam-ctl check --hardware` through a GenTL producer, the sub-camera triggered by a wire."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.gentl.bench import producer
+from tests.gige.bench import gige_network, running, write_images
+from tests.gige.kinds import kind_of
+from tests.gige.loopback import ADDRESSES
+from tests.gige.process import REPOSITORY
+
+CONFIG = """
+[site]
+name = "loopback"
+[camera.main]
+backend = "harvesters"
+serial = "15290000"
+width_px = 720
+height_px = 450
+pixel_pitch_um = 15.6267
+focal_length_mm = 800.0
+[camera.sub]
+backend = "harvesters"
+serial = "15290001"
+width_px = 720
+height_px = 450
+pixel_pitch_um = 15.6267
+focal_length_mm = 6.0
+[target.main]
+kind = "circles"
+centres_mm = [[-15.0, 11.0], [15.0, 11.0], [0.0, 0.0], [-15.0, -11.0], [15.0, -11.0]]
+diameter_mm = 8.0
+distance_mm = 11000.0
+[target.sub]
+kind = "checkerboard"
+squares_x = 32
+squares_y = 31
+square_mm = 2.0
+distance_mm = 50.0
+[rig]
+rotation_main_sub_deg = [0.0, 180.0, 0.0]
+offset_main_sub_mm = [0.0, 0.0, -80.0]
+[trigger]
+mode = "hardware"
+[genicam]
+producer = "PRODUCER"
+"""
+
+
+def check(directory: Path, cti: Path) -> tuple[int, dict[str, tuple[str, str]], str]:
+    """Exit code, findings by name as (state, text), and stderr."""
+    config = directory / "dcam.toml"
+    config.write_text(CONFIG.replace("PRODUCER", str(cti)))
+    command = [sys.executable, "-m", "daemon.ctl", "--config", str(config)]
+    command += ["--state", str(directory / "state"), "check", "--hardware", "--json"]
+    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    findings = json.loads(done.stdout)["findings"]
+    return done.returncode, {f["name"]: (f["state"], f["text"]) for f in findings}, done.stderr
+
+
+@pytest.fixture(scope="module")
+def cameras(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with gige_network():
+        kind = kind_of("harvesters")
+        images = write_images(tmp_path_factory.mktemp("i"), 1, seed=11, shape=(450, 720))
+        main, sub = (
+            kind.process(address, serial, images)
+            for address, serial in zip(ADDRESSES, ("15290000", "15290001"), strict=True)
+        )
+        main.wire(2, sub, 3)
+        with running(main, sub):
+            yield
+
+
+def test_both_cameras_are_found_and_take_a_pair(cameras: None, tmp_path: Path) -> None:
+    code, findings, stderr = check(tmp_path, producer())
+    assert code == 0, findings
+    assert findings["cameras"] == ("ok", "backend harvesters")
+    assert findings["main frame"][0] == findings["sub frame"][0] == "ok"
+    assert findings["skew"][1].startswith("not measured")
+    assert "Traceback" not in stderr
+
+
+def test_a_producer_that_is_not_there_is_one_clear_line(tmp_path: Path) -> None:
+    code, findings, stderr = check(tmp_path, Path("/nowhere/vendor.cti"))
+    assert code == 4
+    assert findings["pair"] == (
+        "error",
+        "/nowhere/vendor.cti: no such GenTL producer; set genicam.producer to the vendor's .cti",
+    )
+    assert "Traceback" not in stderr
