@@ -14,6 +14,7 @@ import click
 
 from core.calibration import Method
 from core.lens_coverage import LensCoverage
+from daemon.calibration.guard import guarded_head
 from daemon.calibration.lens_session import Bench, latest_lens_views, take_lens_views
 from daemon.calibration.lens_verdict import judge_lens
 from daemon.calibration.page import write_report_files
@@ -184,6 +185,7 @@ def calibrate_with_head(
         stack.enter_context(stopping_cleanly())
         stack.enter_context(cameras_to_oneself(state, "dcam-ctl calibrate"))
         before = begun.rows if begun else lens.rows if lens else ()
+        stack.enter_context(guarded_head(config))
         rig = stack.enter_context(opened_rig(config, before))
         if needs_lens and begun is None:
             require_lens_views(rig, lens)

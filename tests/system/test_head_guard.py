@@ -1,0 +1,82 @@
+"""A head that is moved by time is halted even when the program that moves it is killed."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.commands.conftest import SIMULATED
+
+ROOT = Path(__file__).parents[2]
+DEADLINE_S = 60.0
+
+
+@pytest.fixture
+def head(tmp_path: Path) -> Iterator[Path]:
+    """A simulated Pelco-D head that knows no positions; the socket that tells where it truly is."""
+    angles = tmp_path / "angles"
+    program = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "daemon.ctl", "simulate", "head", "--protocol", "pelco-d"),
+            *("--no-feedback", "--speed", "0.2", "--link", tmp_path / "head", "--angles", angles),
+        ],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+    )
+    with program:
+        program.stdout.readline()
+        yield angles
+        program.send_signal(signal.SIGTERM)
+
+
+def where(angles: Path) -> tuple[float, float]:
+    with socket.socket(socket.AF_UNIX) as asking:
+        asking.connect(str(angles))
+        told = json.loads(asking.makefile().readline())
+    return told["pan_deg"], told["tilt_deg"]
+
+
+def until(angles: Path, moving: bool) -> tuple[float, float]:
+    """Look every fifth of a second until the head moves, or until it does not any more."""
+    last, end_s = where(angles), time.monotonic() + DEADLINE_S
+    while time.monotonic() < end_s:
+        time.sleep(0.2)
+        now = where(angles)
+        if (now != last) == moving:
+            return now
+        last = now
+    pytest.fail("the head did not " + ("move" if moving else "stop"))
+
+
+def test_sigkill_in_a_move_of_a_head_without_feedback(head: Path, tmp_path: Path) -> None:
+    """It would turn on to its stop: it was told to start, and nobody is left to say stop."""
+    config = tmp_path / "dcam.toml"
+    config.write_text(
+        SIMULATED
+        + f'head_angles = "{head}"\n[pan_tilt]\nbackend = "pelco-d"\nport = "{tmp_path / "head"}"\n'
+        + "reports_position = false\nspeed_deg_s = 0.2\n"
+    )
+    program = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "daemon.ctl", "--config", config, "--state", tmp_path / "s"),
+            *("calibrate", "--pan-tilt"),
+        ],
+        cwd=ROOT,
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
+    with program:
+        until(head, moving=True)
+        program.kill()
+        begun = where(head)
+        stopped = until(head, moving=False)
+        told = program.stderr.read()  # the guard has the other end of it: it is gone too
+    assert abs(stopped[0] - begun[0]) + abs(stopped[1] - begun[1]) < 1.5
+    assert b"the head was halted, its program is gone" in told
+    assert where(head) == stopped
