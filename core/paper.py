@@ -17,6 +17,8 @@ from core.pose import Pose, skew_matrix
 from core.site import FloatArray
 
 _NULL_RATIO = 2e-4
+_DOUBTFUL_RATIO = 5e-3
+"""Below this the noise of the motions themselves may be all that a direction rests on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +98,20 @@ def fit_paper(
     jac = np.asarray(fit.jac, dtype=float)
     columns = np.linalg.norm(jac, axis=0)
     singular = np.linalg.svd(jac / np.maximum(columns, 1e-12), compute_uv=False)
-    # Where the motions say nothing, the parameters are known to their own size.
-    information = jac.T @ jac / max(variance, 1e-9) + np.eye(9)
-    covariance = np.linalg.inv(information) * np.outer(scale, scale)
-    return PaperModel(B, p, covariance, singular)
+    covariance = _covariance(jac, singular, max(variance, 1e-9), np.asarray(fit.x) - start)
+    return PaperModel(B, p, covariance * np.outer(scale, scale), singular)
+
+
+def _covariance(
+    jacobian: FloatArray, singular: FloatArray, variance: float, away: FloatArray
+) -> FloatArray:
+    """Covariance (9, 9) of the scaled parameters, away (9,) from their start values.
+
+    A direction that the motions leave open is known to the parameters' own size, or to how far
+    the fit ran away along it. Its singular value is then not zero by the noise of the motions.
+    """
+    _, size, directions = np.linalg.svd(jacobian, full_matrices=False)
+    information = size**2 / variance
+    information[singular < _DOUBTFUL_RATIO * singular[0]] = 0.0
+    reach = np.maximum(1.0, np.abs(directions @ away))
+    return np.asarray(directions.T @ np.diag(1.0 / (information + 1.0 / reach**2)) @ directions)
