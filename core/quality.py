@@ -65,8 +65,8 @@ def judge_sub(setup: Setup, located: LocatedBoard, board: BoardPose) -> list[Rea
         reasons.append(Reason.SUB_TARGET_UNCERTAIN)
     if used < (1.0 - _HIDDEN_SHARE) * located.visible:
         reasons.append(Reason.SUB_TARGET_PARTLY_HIDDEN)
-    if board.rms_px > _RESIDUAL_FACTOR * max(setup.levels.sub_rms_px, 0.002) * _noisier(
-        setup, located
+    if board.rms_px > _RESIDUAL_FACTOR * max(setup.levels.sub_rms_px, 0.002) * noisier(
+        setup, located.contrast_dn
     ):
         reasons.append(Reason.SUB_TARGET_DISTURBED)
     if _is_foreign(setup, located, board):
@@ -86,9 +86,9 @@ def _is_foreign(setup: Setup, located: LocatedBoard, board: BoardPose) -> bool:
     return share > _FOREIGN_SHARE and size_px > setup.levels.sub_rms_px
 
 
-def _noisier(setup: Setup, located: LocatedBoard) -> float:
+def noisier(setup: Setup, contrast_dn: float) -> float:
     """How much larger residuals may be because the contrast is lower than at calibration."""
-    return max(1.0, setup.levels.sub_contrast_dn / max(located.contrast_dn, 1.0))
+    return max(1.0, setup.levels.sub_contrast_dn / max(contrast_dn, 1.0))
 
 
 def beyond_belief(shift: Shift, board: BoardPose | None) -> bool:

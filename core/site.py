@@ -78,6 +78,8 @@ class QualityLimits:
     """A corrected displacement with a larger sigma is suspect."""
     max_skew_ms: float = 20.0
     """A pair taken further apart is suspect."""
+    max_step_mm: float | None = None
+    """A target that moves further from one slot to the next is suspect; None: no limit."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ import json
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr, Strict
 
@@ -275,8 +275,12 @@ class Config(Section):
 
 
 def _canonical_json(site: Site) -> str:
+    def present(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        """Leave out what is not set: a new optional key must not change old hashes."""
+        return {name: value for name, value in pairs if value is not None}
+
     return json.dumps(
-        asdict(site),
+        asdict(site, dict_factory=present),
         sort_keys=True,
         separators=(",", ":"),
         allow_nan=False,

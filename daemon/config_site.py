@@ -171,6 +171,7 @@ class QualitySection(Section):
     expected_drift_mm: float = Field(default=1.5, gt=0, le=1000.0)
     max_sigma_mm: float = Field(default=0.5, gt=0)
     max_skew_ms: float = Field(default=20.0, gt=0)
+    max_step_mm: float | None = Field(default=None, gt=0)
 
     def limits(self) -> QualityLimits:
         """Convert to the core's type."""

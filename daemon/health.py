@@ -9,12 +9,14 @@ import ctypes
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from core.results import Flag
 from daemon.config import Config
 from daemon.lock import LOCK_NAME
+from daemon.measuring import active_calibration
+from daemon.sequence import stored_continuity
 from daemon.store.database import Store
 from daemon.store.frames import FrameArchive
 from daemon.store.records import (
@@ -69,6 +71,10 @@ class Facts:
     last_good: MeasurementRecord | None
     """Within 30 days before the last row."""
     calibration: CalibrationRecord | None
+    misfit: float | None
+    """How much worse the corners fit than at calibration, over the last rows; None of too few."""
+    slipped_utc: datetime | None
+    """The last row of a board that has slipped and is not back."""
     config_hash: str
     coverage_24h: Coverage
     coverage_30d: Coverage
@@ -90,6 +96,7 @@ def look(config: Config, state: Path, store: Store, now_utc: datetime) -> Facts:
     last_slot = store.last_slot()
     last = store.measurement(last_slot) if last_slot else None
     simulated = has_stepped_clock(config)
+    misfit, slipped_utc = _continuity(store, last)
     return Facts(
         site=config.name,
         now_utc=now_utc,
@@ -98,6 +105,8 @@ def look(config: Config, state: Path, store: Store, now_utc: datetime) -> Facts:
         last=last,
         last_good=_last_good(store, last),
         calibration=store.active_calibration(),
+        misfit=misfit,
+        slipped_utc=slipped_utc,
         config_hash=config.config_hash(),
         coverage_24h=_coverage(config, store, accounted, now_utc, DAY),
         coverage_30d=_coverage(config, store, accounted, now_utc, MONTH),
@@ -112,6 +121,19 @@ def look(config: Config, state: Path, store: Store, now_utc: datetime) -> Facts:
         simulated_clock=simulated,
         clock_synchronised=None if simulated else clock_is_synchronised(),
     )
+
+
+def _continuity(
+    store: Store, last: MeasurementRecord | None
+) -> tuple[float | None, datetime | None]:
+    """How well the corners have fitted of late, and the last row of a slipped board."""
+    calibration = active_calibration(store)
+    if last is None or calibration is None:
+        return None, None
+    known = stored_continuity(store, calibration, last.slot_utc + timedelta(seconds=1))
+    if known.slip is None:
+        return known.misfit, None
+    return known.misfit, datetime.fromtimestamp(known.slip.last.time_s, UTC)
 
 
 def has_stepped_clock(config: Config) -> bool:

@@ -12,9 +12,19 @@ from datetime import datetime
 
 import structlog
 
+from core.results import Measurement
 from core.site import Site
 from daemon.burst import BurstPlan, Shot, take_burst
-from daemon.measuring import active_calibration, image_pair, load_pairs, measure, worst_skew_s
+from daemon.measuring import (
+    ActiveCalibration,
+    ImagePair,
+    active_calibration,
+    image_pair,
+    load_pairs,
+    measure,
+    worst_skew_s,
+)
+from daemon.sequence import in_sequence
 from daemon.store.database import Store
 from daemon.store.errors import DiskFullError, StoreError
 from daemon.store.frames import FrameArchive, StoredPair, camera_state
@@ -95,7 +105,7 @@ def measure_stored(line: Pipeline, slot_utc: datetime) -> MeasurementRecord:
     pairs, first = load_pairs(line.archive, slot_utc)
     record = MeasurementRecord(
         slot_utc=slot_utc,
-        measurement=measure(pairs, line.site, calibration),
+        measurement=_measure(line, slot_utc, pairs, calibration),
         config_hash=line.config_hash,
         version=VERSION,
         calibration_id=calibration.id if calibration else None,
@@ -122,7 +132,7 @@ def _measure_captured(
     first = shots[0].pair
     return MeasurementRecord(
         slot_utc=slot_utc,
-        measurement=measure(pairs, line.site, calibration),
+        measurement=_measure(line, slot_utc, pairs, calibration),
         config_hash=line.config_hash,
         version=VERSION,
         calibration_id=calibration.id if calibration else None,
@@ -133,6 +143,17 @@ def _measure_captured(
         main_camera=camera_state(first.main),
         sub_camera=camera_state(first.sub),
     )
+
+
+def _measure(
+    line: Pipeline,
+    slot_utc: datetime,
+    pairs: Sequence[ImagePair],
+    calibration: ActiveCalibration | None,
+) -> Measurement:
+    """Measure a slot's pairs and hold the result against the rows before."""
+    alone = measure(pairs, line.site, calibration)
+    return in_sequence(line.store, calibration, line.site.quality, slot_utc, alone)
 
 
 def _keep_frames(line: Pipeline, slot_utc: datetime, shots: Sequence[Shot]) -> StoredPair | None:

@@ -14,6 +14,8 @@ LATE_SLOTS, LOST_SLOTS = 3, 10
 STALE_GOOD_S, LOST_GOOD_S = 2 * 3600.0, 24 * 3600.0
 """Time without a good value before that is a warning, and critical: a dark night warns."""
 LOW_COVERAGE, LOST_COVERAGE = 0.95, 0.5
+DRIFTING = 1.5
+"""Residuals of the corners over their level at calibration, the median of many rows."""
 LOW_DISK_DAYS, FULL_DISK_DAYS = 7.0, 1.0
 LOW_DISK_BYTES, FULL_DISK_BYTES = 1e9, 200e6
 """Free space that is too little whatever the rate: the database needs room as well."""
@@ -134,6 +136,16 @@ def _calibration(facts: Facts) -> Item:
     text = f"{record.id}, method {record.content.get('method')}, {span_text(age_s)} old"
     if record.config_hash != facts.config_hash:
         text += "; the config has changed since: calibrate again"
+    elif facts.slipped_utc is not None:
+        text += (
+            f"; the board has slipped, last seen so {utc_text(facts.slipped_utc)}: look at it, "
+            "then calibrate again"
+        )
+    elif facts.misfit is not None and facts.misfit > DRIFTING:
+        text += (
+            f"; drifting: the corners fit {facts.misfit:.1f} times worse than at calibration: look "
+            "at board, lens and bracket, clean the glass, calibrate again"
+        )
     elif not record.report.passed:
         text += f"; accepted although it did not pass: {record.report.lines[0]}"
     else:

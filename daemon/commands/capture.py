@@ -16,6 +16,7 @@ from daemon.devices import open_clock, open_pair_source
 from daemon.errors import ExitCode
 from daemon.lock import sole_writer
 from daemon.measuring import ActiveCalibration, active_calibration, image_pair, measure
+from daemon.sequence import in_sequence
 from daemon.store.database import open_store_readonly
 from daemon.store.errors import DatabaseMissingError
 from daemon.wording import utc_text, value_text
@@ -29,8 +30,8 @@ from drivers.protocols import CapturedFrame, CapturedPair
 def command(options: Options, as_json: bool) -> int:
     """Take one slot's pairs now, measure them with the active calibration, and print the result.
 
-    `[schedule] burst` says how many they are. Nothing is recorded. The cameras must be free: stop dcamd first. Exit code 1 if the pair gave
-    no value, 4 if it could not be taken.
+    `[schedule] burst` says how many they are. Nothing is recorded. The cameras must be free:
+    stop dcamd first. Exit code 1 if the slot gave no value, 4 if no pair could be taken.
     """
     config, state = options.config, options.state
     with sole_writer(state, "dcam-ctl capture"):
@@ -39,7 +40,11 @@ def command(options: Options, as_json: bool) -> int:
         with closing(open_pair_source(config, clock)) as source:
             slot_utc = clock.now_utc().replace(microsecond=0)
             shots = take_burst(source, clock, slot_utc, config.burst_plan())
-    measurement = measure((image_pair(shot.pair) for shot in shots), config.site(), calibration)
+    site = config.site()
+    measurement = measure((image_pair(shot.pair) for shot in shots), site, calibration)
+    if calibration is not None:
+        with open_store_readonly(state) as store:
+            measurement = in_sequence(store, calibration, site.quality, slot_utc, measurement)
     pair = shots[0].pair
     if as_json:
         row = result_fields(slot_utc, measurement)

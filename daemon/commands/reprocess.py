@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -27,6 +27,7 @@ from daemon.config import Config
 from daemon.errors import UsageError, WorkFailedError
 from daemon.export import opened_output, write_results
 from daemon.measuring import ActiveCalibration, PairFiles, load_pairs, measure, read_pair
+from daemon.sequence import Sequence
 from daemon.store.database import NEVER, open_store_readonly
 from daemon.store.errors import DatabaseMissingError
 from daemon.store.frames import FrameArchive
@@ -91,9 +92,10 @@ def command(
         msg = f"{directory or options.state}: no frames to measure there"
         raise WorkFailedError(msg)
     results = []
+    sequence = Sequence(calibration, site.quality)
     with progress(len(jobs), "measuring") as steps:
         for slot_utc, measure in jobs:
-            results.append((slot_utc, measure()))
+            results.append((slot_utc, sequence.judge(slot_utc, measure())))
             steps.next()
     tell(results, calibration.id, output, as_json=as_json)
 
@@ -160,7 +162,7 @@ def _files(frames: FrameSet, row: FrameSetRow) -> PairFiles:
 
 
 def _measure_files(
-    files: Sequence[PairFiles], site: Site, calibration: ActiveCalibration
+    files: list[PairFiles], site: Site, calibration: ActiveCalibration
 ) -> Measurement:
     return measure((read_pair(pair, site) for pair in files), site, calibration)
 

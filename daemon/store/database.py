@@ -7,7 +7,7 @@ writer, nor it for them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -173,6 +173,36 @@ class Store:
             if len(page) < _PAGE:
                 return
             after = page[-1].slot_utc
+
+    def rows_before(
+        self, slot_utc: datetime, calibration_id: int, reasons: Sequence[str], limit: int
+    ) -> list[MeasurementRecord]:
+        """The last rows with a value before a slot, by one calibration, in order.
+
+        Only those whose reasons, as the table holds them, are among the given.
+        """
+        row = MeasurementRow
+        query = select(row).where(
+            row.slot_utc < gap_runs.next_second(slot_utc),
+            row.calibration_id == calibration_id,
+            row.x_mm.is_not(None),
+            row.reasons.in_(reasons),
+        )
+        with self._read() as session:
+            rows = session.scalars(query.order_by(row.slot_utc.desc()).limit(limit))
+            return [measurement_record(found) for found in rows][::-1]
+
+    def first_row_after(
+        self, slot_utc: datetime, calibration_id: int, reasons: str
+    ) -> MeasurementRecord | None:
+        """The first row after a slot, by one calibration, with these reasons."""
+        row = MeasurementRow
+        query = select(row).where(
+            row.slot_utc > slot_utc, row.calibration_id == calibration_id, row.reasons == reasons
+        )
+        with self._read() as session:
+            found = session.scalar(query.order_by(row.slot_utc).limit(1))
+            return None if found is None else measurement_record(found)
 
     def measured_slots(self, since: datetime = ALWAYS, until: datetime = NEVER) -> set[datetime]:
         """The slots that have a row, since <= slot < until."""
