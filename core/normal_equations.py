@@ -316,7 +316,7 @@ class Problem:
         corners = self.terms @ factor[layout.shape]
         corners[:, :2] -= np.linalg.solve(system.corner, system.cross @ factor)
         own = np.linalg.inv(system.corner) * system.scale**2
-        discs = factor[layout.all_discs].reshape(layout.discs, 2, -1)
+        discs = factor[layout.all_discs].reshape(layout.discs, 2, factor.shape[1])
         return Posterior(
             factor[layout.lens], factor[layout.rig], factor[layout.pose(0)], discs, corners, own
         )
