@@ -1,4 +1,4 @@
-"""Discs located by fitting a model of the grey values around them."""
+"""Discs located by fitting a model of the grey values around their outlines."""
 
 from __future__ import annotations
 
@@ -6,9 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.disc_kernels import DISC_PARAMETERS, fit_discs
-from core.pixel_fit import covariances, residual_noise
+from core.disc_kernels import DISC_PARAMETERS, Pixels, fit_discs
+from core.pixel_fit import SETTLED_PX, covariances, residual_noise
 from core.site import BoolArray, FloatArray
+
+_NARROW_PX, _NARROW_BLURS = 2.0, 3.0
+"""Beyond this, plus so many blur widths, a pixel tells no more than the grey on either side."""
+_COARSE_SHARE, _COARSE_PX = 0.35, (3.0, 8.0)
+_COARSE_PIXELS = 600
+_NEARLY_PX = 0.05
+_TURNS = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,30 +38,38 @@ class DiscFits:
 
 
 def locate_discs(
-    grey: FloatArray, saturation_dn: float, points_px: FloatArray, outline_px: FloatArray
+    pixels: Pixels, saturation_dn: float, points_px: FloatArray, outline_px: FloatArray
 ) -> DiscFits:
-    """Locate bright discs near points (n, 2) with outlines (n, 2, 2) known to some 15 %."""
-    n = len(points_px)
-    state = np.zeros((n, DISC_PARAMETERS))
-    information, figures = np.zeros((n, 2, 2)), np.zeros((n, 5))
-    for k in range(n):
-        state[k] = _start_disc(grey, points_px[k], outline_px[k])
-    radius = float(np.median(np.trace(outline_px, axis1=1, axis2=2) / 2.0))
-    limits = np.array([float(np.clip(0.35 * radius, 3.0, 8.0)), saturation_dn])
+    """Locate bright discs near points (n, 2) with outlines (n, 2, 2) known to some 15 %.
+
+    First roughly, with some of the pixels of a wide ring about each outline; then with all
+    pixels of a ring that the blur makes as narrow as it may be, and less weight for those that
+    the model does not explain.
+    """
+    pixels = np.ascontiguousarray(pixels)
     points = np.ascontiguousarray(points_px, dtype=float)
-    fit_discs(grey, points, limits, 0.0, 8, state, information, figures)
+    n = len(points)
+    state = _start(pixels, points, outline_px)
+    information, figures = np.zeros((n, 2, 2)), np.zeros((n, 5))
+    wide = np.clip(_COARSE_SHARE * np.trace(outline_px, axis1=1, axis2=2) / 2.0, *_COARSE_PX)
+    every = np.maximum(1, (6.3 * np.trace(outline_px, axis1=1, axis2=2) * wide / _COARSE_PIXELS))
+    every = every.astype(np.int64)
+    limits = np.array([saturation_dn, 0.0, _NEARLY_PX])
+    fit_discs(pixels, points, wide, every, limits, 10, state, information, figures)
     noise = residual_noise(figures, DISC_PARAMETERS)
     ok = figures[:, 4] > 0
-    scale = max(float(np.min(noise[ok])) if ok.any() else 1.0, 0.3)
-    fit_discs(grey, points, limits, scale, 8, state, information, figures)
-    ok = figures[:, 4] > 0
+    limits[1:] = max(float(np.min(noise[ok])) if ok.any() else 1.0, 0.3), SETTLED_PX
+    narrow = np.where(ok, np.minimum(wide, _NARROW_PX + _NARROW_BLURS * state[:, 11]), 0.0)
+    state[~ok, 2:5] = 0.0
+    all_pixels = np.ones(n, dtype=np.int64)
+    fit_discs(pixels, points, narrow, all_pixels, limits, 8, state, information, figures)
+    ok = ok & (figures[:, 4] > 0)
     noise = residual_noise(figures, DISC_PARAMETERS)
-    outline = np.stack([state[:, 2:4], state[:, 3:5]], axis=1)
     return DiscFits(
         points + state[:, :2],
         covariances(information, noise, ok),
         ok,
-        outline,
+        np.stack([state[:, 2:4], state[:, 3:5]], axis=1),
         noise,
         np.abs(state[:, 8]),
         state[:, 11],
@@ -62,20 +77,17 @@ def locate_discs(
     )
 
 
-def _start_disc(grey: FloatArray, point: FloatArray, outline: FloatArray) -> FloatArray:
-    """Start values: the levels from pixels inside and outside the outline."""
-    reach = int(np.ceil(outline[0, 0] + outline[1, 1]))
-    u0, v0 = round(float(point[0])), round(float(point[1]))
-    v, u = np.mgrid[max(0, v0 - reach) : v0 + reach + 1, max(0, u0 - reach) : u0 + reach + 1]
-    inside_image = (v < grey.shape[0]) & (u < grey.shape[1])
-    u, v = u[inside_image], v[inside_image]
-    offset = np.stack([u - point[0], v - point[1]], axis=1) @ np.linalg.inv(outline).T
-    rho = np.hypot(offset[:, 0], offset[:, 1])
-    values = grey[v, u]
-    white, black = values[rho < 0.8], values[(rho > 1.2) & (rho < 1.5)]
-    low = float(np.median(black)) if len(black) else 0.0
-    high = float(np.median(white)) if len(white) else low + 1.0
-    start = np.zeros(DISC_PARAMETERS)
-    start[2:5] = outline[0, 0], outline[0, 1], outline[1, 1]
-    start[5], start[8], start[11] = low, high - low, 1.0
-    return start
+def _start(pixels: Pixels, points: FloatArray, outline: FloatArray) -> FloatArray:
+    """Start values (n, 12): the levels from pixels well inside and outside the outline."""
+    ring = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1) @ outline
+    levels = []
+    for factor in (0.65, 1.35):
+        at = np.rint(points[:, None] + factor * ring).astype(int)
+        u = np.clip(at[..., 0], 0, pixels.shape[1] - 1)
+        v = np.clip(at[..., 1], 0, pixels.shape[0] - 1)
+        levels.append(np.median(pixels[v, u], axis=1))
+    high, low = levels
+    state = np.zeros((len(points), DISC_PARAMETERS))
+    state[:, 2], state[:, 3], state[:, 4] = outline[:, 0, 0], outline[:, 0, 1], outline[:, 1, 1]
+    state[:, 5], state[:, 8], state[:, 11] = low, high - low, 1.0
+    return state
