@@ -1,4 +1,4 @@
-"""A network of one's own with two loopback addresses, for cameras on port 3956.
+"""A network of one's own with several loopback addresses, for cameras on port 3956.
 
 Two cameras need two addresses, and other programs on this machine may use the port: the calling
 thread moves into a new network namespace, and what it starts from then on, threads and programs,
@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 ADDRESSES = ("127.0.0.1", "127.0.0.2")
+THIRD_ADDRESS = "127.0.0.3"
 
 _CLONE_NEWNET = 0x40000000  # sched.h
 _SIOCSIFFLAGS, _SIOCSIFADDR = 0x8914, 0x8916  # netdevice(7)
@@ -28,7 +29,7 @@ class NoLoopbackError(Exception):
 
 @contextmanager
 def private_loopback() -> Iterator[None]:
-    """Run in a network namespace in which both addresses exist and nothing else does."""
+    """Run in a network namespace in which the addresses exist and nothing else does."""
     libc = ctypes.CDLL(None, use_errno=True)
     with open("/proc/thread-self/ns/net") as outside:  # noqa: PTH123  (its descriptor is wanted)
         if libc.unshare(_CLONE_NEWNET) != 0:
@@ -46,7 +47,6 @@ def _bring_up_loopback() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
         flags = struct.pack("16sH22x", b"lo", _IFF_UP)
         fcntl.ioctl(control, _SIOCSIFFLAGS, flags)
-        address = struct.pack(
-            "16sH2x4s16x", b"lo:1", socket.AF_INET, socket.inet_aton(ADDRESSES[1])
-        )
-        fcntl.ioctl(control, _SIOCSIFADDR, address)
+        for alias, address in ((b"lo:1", ADDRESSES[1]), (b"lo:2", THIRD_ADDRESS)):
+            request = struct.pack("16sH2x4s16x", alias, socket.AF_INET, socket.inet_aton(address))
+            fcntl.ioctl(control, _SIOCSIFADDR, request)
