@@ -18,6 +18,7 @@ from core.pose import Pose
 from core.resection import MIN_CORNERS, BoardView, resect
 from core.saddles import find_saddles
 from core.site import BoolArray, FloatArray, IntArray
+from core.strays import without_strays
 
 _FIRST_REACH_PX, _FIRST_REACH_SQUARES = 7.0, 0.3
 """Small at first: without the lens, the edges are only straight near the corner."""
@@ -54,7 +55,7 @@ def detect_board(image: GreyImage, board: Board) -> LocatedBoard:
     maps[:, :, :2] = np.linalg.inv(named.steps_px)
     square_px = float(np.median(np.linalg.norm(named.steps_px, axis=1)))
     reach = float(np.clip(_FIRST_REACH_PX / square_px, _FIRST_REACH_SQUARES, CORNER_REACH_SQUARES))
-    fits = locate_corners(grey, image.saturation_dn, named.points_px, maps, reach)
+    fits = locate_corners(image.pixels, image.saturation_dn, named.points_px, maps, reach)
     return _located(named.index, fits, certain=named.certain)
 
 
@@ -116,16 +117,19 @@ def refine_board(
     if len(index) == 0:
         msg = "sub target: the predicted pose puts no corner into the image"
         raise TargetNotFoundError(msg)
-    return _located(index, locate_corners(grey, image.saturation_dn, points, maps), certain=certain)
+    fits = locate_corners(image.pixels, image.saturation_dn, points, maps)
+    return _located(index, fits, certain=certain)
 
 
 def _lattice(grey: FloatArray, *, half_size: bool = False) -> Lattice:
     """Find the board's corners, to some hundredths of a pixel; at half size if that will do."""
+    height, width = grey.shape
     if not half_size:
-        return join(find_saddles(grey))
+        return without_strays(join(find_saddles(grey)), width, height)
     resized = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     saddles = find_saddles(np.asarray(resized, dtype=np.float32))
-    return join(replace(saddles, points_px=2.0 * saddles.points_px + 0.5))
+    lattice = join(replace(saddles, points_px=2.0 * saddles.points_px + 0.5))
+    return without_strays(lattice, width, height)
 
 
 def _located(index: IntArray, fits: CornerFits, *, certain: bool) -> LocatedBoard:

@@ -252,7 +252,7 @@ def _at_borders(
     return fitting
 
 
-def _grid(lattice: Lattice) -> FloatArray:
+def grid_of(lattice: Lattice) -> FloatArray:
     """Points on their lattice, (j, i, 2), NaN where there is none, with a margin of one."""
     size = lattice.ij.max(axis=0) + 3
     grid = np.full((size[1], size[0], 2), np.nan)
@@ -265,7 +265,7 @@ def _borders(lattice: Lattice, width_px: int, height_px: int) -> BoolArray:
 
     It does if most next corners, extrapolated, would lie well inside the image.
     """
-    grid = _grid(lattice)
+    grid = grid_of(lattice)
     answer = np.zeros((2, 2), dtype=bool)
     for axis in range(2):
         lines = grid if axis == 1 else grid.transpose(1, 0, 2)
@@ -287,7 +287,7 @@ def _borders(lattice: Lattice, width_px: int, height_px: int) -> BoolArray:
 
 def _steps(lattice: Lattice) -> FloatArray:
     """d(px)/d(square) at each corner from its neighbours, central where both are there."""
-    grid = _grid(lattice)
+    grid = grid_of(lattice)
     steps = np.empty((len(lattice.ij), 2, 2))
     j, i = lattice.ij[:, 1] + 1, lattice.ij[:, 0] + 1
     for axis, (dj, di) in enumerate(((0, 1), (1, 0))):
