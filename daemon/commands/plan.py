@@ -1,0 +1,290 @@
+"""`dcam-ctl plan`: what a site will see and how well it will measure, from its config alone."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import click
+import numpy as np
+
+from core.drawing import Campaign, Drawing, ImageQuality
+from core.errors import CoreError
+from core.observability import further_motion
+from core.planning import (
+    Foreseen,
+    Improvement,
+    Limit,
+    calibrate_drawing,
+    foresee,
+    improvements,
+    limits_of,
+    possible_changes,
+)
+from core.pose import Pose
+from core.room import Room, room_of, warnings_of
+from core.site import Site
+from daemon.calibration.positions import Limits, planned_positions
+from daemon.commands.options import Options, common_options, json_option, pass_options
+from daemon.commands.output import print_json, print_table, say
+from daemon.errors import ExitCode
+
+LENS_VIEWS = 12
+HEAD_LIMITS = Limits(pan_deg=180.0, tilt_deg=90.0)
+"""The head is not asked: the image's edge limits the positions."""
+_QUALITY = ImageQuality()
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Everything that is told."""
+
+    site: Site
+    campaign: Campaign
+    room: Room
+    foreseen: Foreseen | None
+    """None where the plan cannot be calibrated; the warnings say why."""
+    limits: tuple[Limit, ...]
+    improvements: tuple[Improvement, ...]
+    further: str | None
+    warnings: tuple[str, ...]
+
+
+@click.command("plan", epilog="\b\nExample:\n  dcam-ctl --config dcam.toml plan --lens-views 20")
+@click.option(
+    "--lens-views",
+    type=click.IntRange(3, 100),
+    default=LENS_VIEWS,
+    show_default=True,
+    help="Views of the board in the hand.",
+)
+@click.option(
+    "--reach-deg",
+    type=(click.FloatRange(0.0, 45.0), click.FloatRange(0.0, 45.0)),
+    metavar="PAN TILT",
+    help="How far the head turns either way; default: what calibrate does.",
+)
+@click.option(
+    "--contrast-dn",
+    type=click.FloatRange(5.0, 255.0),
+    default=_QUALITY.contrast_dn,
+    show_default=True,
+    help="White less black on the board, grey values of 8 bits.",
+)
+@click.option(
+    "--noise-dn",
+    type=click.FloatRange(0.1, 50.0),
+    default=_QUALITY.noise_dn,
+    show_default=True,
+    help="Noise of a grey value of 8 bits, 1 sigma.",
+)
+@click.option(
+    "--blur-px",
+    type=click.FloatRange(0.3, 6.0),
+    default=_QUALITY.blur_px,
+    show_default=True,
+    help="Width of a blurred edge, 1 sigma, as capture tells it.",
+)
+@json_option
+@common_options
+@pass_options
+def command(
+    options: Options,
+    lens_views: int,
+    reach_deg: tuple[float, float] | None,
+    contrast_dn: float,
+    noise_dn: float,
+    blur_px: float,
+    as_json: bool,
+) -> int:
+    """Say what this site will see and how well it will measure; needs no images.
+
+    Scales, fields of view, room to move, Eq. 5; the 1-sigma of a corrected displacement by a
+    planned pan-tilt calibration, what limits it, what would better it. The calibration itself is
+    run, on views projected from the drawing. Exit code 1 where the plan cannot be calibrated.
+    """
+    quality = ImageQuality(contrast_dn=contrast_dn, noise_dn=noise_dn, blur_px=blur_px)
+    plan = make_plan(options.config.site(), quality, lens_views, reach_deg)
+    if as_json:
+        print_json({"command": "plan", **plan_fields(plan)})
+    else:
+        say_plan(plan)
+    return ExitCode.FAILED if plan.foreseen is None else ExitCode.DONE
+
+
+def make_plan(
+    site: Site,
+    quality: ImageQuality,
+    lens_views: int = LENS_VIEWS,
+    reach_deg: tuple[float, float] | None = None,
+) -> Plan:
+    """Plan a site."""
+    drawing = Drawing(site, quality)
+    room = room_of(drawing)
+    campaign = Campaign(lens_views, ())
+    try:
+        campaign = Campaign(lens_views, _positions(drawing, reach_deg))
+        setup = calibrate_drawing(drawing, campaign)
+        foreseen = foresee(drawing, setup)
+    except CoreError as error:
+        warnings = (*warnings_of(drawing, campaign, room), str(error))
+        return Plan(site, campaign, room, None, (), (), None, warnings)
+    warnings = (*warnings_of(drawing, campaign, room), *_sigma_warnings(foreseen, site))
+    return Plan(
+        site,
+        campaign,
+        room,
+        foreseen,
+        limits_of(drawing, setup),
+        improvements(foreseen, setup, possible_changes(drawing, campaign)),
+        further_motion(setup, site),
+        warnings,
+    )
+
+
+def _sigma_warnings(foreseen: Foreseen, site: Site) -> tuple[str, ...]:
+    limit_mm = site.quality.max_sigma_mm
+    if foreseen.worst_mm <= limit_mm:
+        return ()
+    text = (
+        f"a corrected displacement will have a sigma of up to {foreseen.worst_mm:.2f} mm and be "
+        f"flagged: [quality] max_sigma_mm is {limit_mm:g} mm"
+    )
+    return (text,)
+
+
+def _positions(
+    drawing: Drawing, reach_deg: tuple[float, float] | None
+) -> tuple[tuple[float, float], ...]:
+    """Head positions: those of `calibrate --pan-tilt`, or the same grid reaching further."""
+    if reach_deg is None:
+        discs = drawing.see_discs(Pose.identity())
+        return tuple(planned_positions(drawing.site, discs, HEAD_LIMITS))
+    pan, tilt = reach_deg
+    return tuple(
+        (float(p), float(t)) for t in np.linspace(-tilt, tilt, 3) for p in np.linspace(-pan, pan, 7)
+    )
+
+
+def say_plan(plan: Plan) -> None:
+    """Print a plan for a person."""
+    print_table(("what", "main camera", "sub-camera"), _camera_rows(plan))
+    say()
+    for line in _room_lines(plan):
+        say(line)
+    if plan.foreseen is not None:
+        say()
+        _say_foreseen(plan, plan.foreseen)
+    for text in plan.warnings:
+        say(f"warning: {text}")
+
+
+def _camera_rows(plan: Plan) -> list[tuple[str, str, str]]:
+    room, site = plan.room, plan.site
+    return [
+        ("distance", f"{site.main_target.distance_mm:g} mm", f"{site.sub_target.distance_mm:g} mm"),
+        ("scale", f"{room.main_px_per_mm:.3g} px/mm", f"{room.sub_px_per_mm:.3g} px/mm"),
+        (
+            "pixel",
+            f"{1.0 / room.main_px_per_mm:.3g} mm",
+            f"{1.0 / room.sub_px_per_mm:.3g} mm",
+        ),
+        ("field of view", _times(room.main_field_mm), _times(room.sub_field_mm)),
+        ("target", f"discs of {room.disc_px:.0f} px", f"squares of {room.square_px:.1f} px"),
+        (
+            "in view",
+            f"{len(site.main_target.centres_mm)} discs",
+            f"{room.corners_seen} of {room.corners} corners",
+        ),
+    ]
+
+
+def _times(size_mm: Any) -> str:
+    return f"{size_mm[0]:.0f} x {size_mm[1]:.0f} mm"
+
+
+def _room_lines(plan: Plan) -> list[str]:
+    room, limits = plan.room, plan.site.quality
+    positions = plan.campaign.positions_deg
+    travel, turn = _pair(room.target_travel_mm), _pair(room.rig_turn_mrad, 1)
+    eq5 = f"Eq. 5: {room.affine_error_px:.3f} px for {limits.expected_drift_mm:g} mm along the view"
+    lines = [
+        f"before the main target leaves its image it may move {travel} mm in x and y,",
+        f"  or the rig pan and tilt {turn} mrad; expected drift uses {room.drift_mm:.0f} mm of it",
+        f"the rig may shift {_pair(room.rig_shift_mm)} mm in x and y with half the corners in view",
+        f"{eq5}, must be below 1 px for --method paper",
+    ]
+    if positions:
+        pan, tilt = np.abs(np.array(positions)).max(axis=0)
+        lines.append(
+            f"planned: {plan.campaign.lens_views} lens views, {len(positions)} head positions to "
+            f"{pan:.2f} deg of pan and {tilt:.2f} deg of tilt"
+        )
+    return lines
+
+
+def _pair(values: Any, digits: int = 0) -> str:
+    return f"+-{values[0]:.{digits}f} and +-{values[1]:.{digits}f}"
+
+
+def _say_foreseen(plan: Plan, foreseen: Foreseen) -> None:
+    limits = plan.site.quality
+    say("foreseen 1 sigma of a corrected displacement, mm")
+    still, drifted = foreseen.still_mm, foreseen.drifted_mm
+    rows = [
+        ("at the reference", f"x {still[0]:.4f}  y {still[1]:.4f}", ""),
+        ("anywhere within the drift", f"x {drifted[0]:.4f}  y {drifted[1]:.4f}", ""),
+        *(
+            (
+                f"{m.motion}, "
+                + (
+                    f"{limits.expected_drift_mrad:g} mrad"
+                    if m.motion.startswith("rotation")
+                    else f"{limits.expected_drift_mm:g} mm"
+                ),
+                f"{m.row_mm:.4f}",
+                f"{m.calibration_mm:.4f}",
+            )
+            for m in foreseen.motions
+        ),
+    ]
+    print_table(("rig", "of a row", "calibration alone"), rows)
+    say()
+    say(f"what limits it: {foreseen.typical_mm:.4f} mm within the drift would be, without")
+    print_table(("cause", "1 sigma mm"), [(x.cause, f"{x.without_mm:.4f}") for x in plan.limits])
+    say()
+    now = f"instead of {foreseen.typical_mm:.4f} mm"
+    for better in plan.improvements:
+        say(f"better: {better.what}: {better.typical_mm:.4f} mm {now}")
+    if plan.further is not None:
+        say(plan.further)
+    if not plan.improvements and plan.further is None:
+        say("no single change would better it by a tenth")
+
+
+def plan_fields(plan: Plan) -> dict[str, Any]:
+    """A plan in plain JSON types."""
+    room = {f.name: _plain(getattr(plan.room, f.name)) for f in fields(plan.room)}
+    foreseen = None
+    if plan.foreseen is not None:
+        foreseen = {
+            "still_mm": plan.foreseen.still_mm.tolist(),
+            "drifted_mm": plan.foreseen.drifted_mm.tolist(),
+            "typical_mm": plan.foreseen.typical_mm,
+            "worst_mm": plan.foreseen.worst_mm,
+            "motions": [asdict(motion) for motion in plan.foreseen.motions],
+        }
+    return {
+        **room,
+        "lens_views": plan.campaign.lens_views,
+        "positions_deg": [list(position) for position in plan.campaign.positions_deg],
+        "foreseen": foreseen,
+        "limits": [asdict(limit) for limit in plan.limits],
+        "improvements": [asdict(improvement) for improvement in plan.improvements],
+        "further_motion": plan.further,
+        "warnings": list(plan.warnings),
+    }
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray) else value
