@@ -10,10 +10,12 @@ import numpy as np
 
 from core.adjustment import Adjusted, AdjustmentPriors, adjust
 from core.board import Board
-from core.corners import detect_board, locate_board
+from core.corners import detect_board, refine_board
 from core.errors import CalibrationError, TargetNotFoundError
 from core.frames import GreyImage
 from core.lens import Lens, LensModel
+from core.lens_start import ImageSize, wide_prior
+from core.lens_start import start_lens as find_start
 from core.pose import Pose
 from core.resection import BoardView, resect
 from core.site import CameraGeometry, FloatArray
@@ -102,18 +104,22 @@ class LensCalibration:
     lens: Lens
     adjusted: Adjusted
     used: tuple[int, ...]
-    """Which of the images were used, in the order of `adjusted.poses`."""
+    """Which of the views were used, in the order of `adjusted.poses`."""
     rejected: tuple[tuple[int, str], ...]
     """Which were not, and why."""
 
 
 def calibrate_lens(
-    images: Sequence[GreyImage], board: Board, camera: CameraGeometry, *, skew: bool = False
+    images: Sequence[GreyImage],
+    board: Board,
+    camera: CameraGeometry | None = None,
+    *,
+    skew: bool = False,
 ) -> LensCalibration:
     """Calibrate a lens from images of a board, the board's own shape estimated with it.
 
-    Views without the board, or that do not fit the others, are rejected with their reason.
-    Raises CalibrationError.
+    Nothing need be known of the lens; it may be a fisheye. Views without the board, or that do
+    not fit the others, are rejected with their reason. Raises CalibrationError.
     """
     found: list[tuple[int, BoardView]] = []
     rejected: list[tuple[int, str]] = []
@@ -122,17 +128,77 @@ def calibrate_lens(
             found.append((k, detect_board(image, board).view))
         except TargetNotFoundError as error:
             rejected.append((k, str(error)))
-    start = start_lens([view for _, view in found], board, camera)
-    misfits = set(start.rejected)
-    rejected += [(found[v][0], "does not fit the other views") for v in sorted(misfits)]
-    used, views, poses = [], [], []
+    if not found:
+        msg = f"lens: none of {len(images)} images shows the board; {dict(rejected)}"
+        raise CalibrationError(msg)
+    height, width = images[found[0][0]].pixels.shape
+    focal_px = None if camera is None else camera.focal_px
+    start = find_start([view for _, view in found], board, (width, height), focal_px)
+    misfits = dict(start.rejected)
+    rejected += [(found[v][0], reason) for v, reason in misfits.items()]
+    used = [k for v, (k, _) in enumerate(found) if v not in misfits]
+    views = []
     for v, (k, view) in enumerate(found):
         if v not in misfits:
             pose = resect(start.lens, board.corners_mm, view).pose
-            located = locate_board(images[k], start.lens, board, board.corners_mm, pose)
-            used.append(k)
-            views.append(located.view)
-            poses.append(pose)
-    priors = AdjustmentPriors(lens=lens_prior(camera, skew=skew))
-    adjusted = adjust(board, views, start.lens, poses, priors)
+            views.append(refine_board(images[k], start.lens, pose, board, board.corners_mm).view)
+    return _adjusted(views, used, rejected, board, start.lens, skew=skew)
+
+
+def calibrate_lens_from_corners(
+    corners_px: Sequence[FloatArray],
+    board: Board,
+    size: ImageSize,
+    *,
+    sigma_px: float = 0.05,
+    skew: bool = False,
+) -> LensCalibration:
+    """Calibrate a lens from corners found by any other program, e.g. OpenCV's finder.
+
+    corners_px holds one array a view, (rows * columns, 2) or (rows * columns, 1, 2), row by row
+    as in `Board`; NaN where a corner was not found. size is the image's width and height, px.
+    Views whose corners are not the board's (a row shifted, mirrored, on other things) are
+    rejected with their reason. Raises CalibrationError.
+    """
+    views = [
+        _given(np.asarray(c, dtype=float), k, board, sigma_px) for k, c in enumerate(corners_px)
+    ]
+    start = find_start(views, board, size)
+    misfits = dict(start.rejected)
+    used = [k for k in range(len(views)) if k not in misfits]
+    kept = [views[k] for k in used]
+    return _adjusted(kept, used, list(start.rejected), board, start.lens, skew=skew)
+
+
+def _given(corners_px: FloatArray, k: int, board: Board, sigma_px: float) -> BoardView:
+    count = board.columns * board.rows
+    if corners_px.size != 2 * count:
+        msg = (
+            f"lens: view {k} has corners of shape {corners_px.shape}, the board has "
+            f"{board.columns}x{board.rows}; give all, NaN where one was not found"
+        )
+        raise CalibrationError(msg)
+    points = corners_px.reshape(count, 2)
+    index = np.nonzero(np.isfinite(points).all(axis=1))[0]
+    covariance = np.tile(sigma_px**2 * np.eye(2), (len(index), 1, 1))
+    return BoardView(index, points[index], covariance)
+
+
+def _adjusted(
+    views: Sequence[BoardView],
+    used: Sequence[int],
+    rejected: Sequence[tuple[int, str]],
+    board: Board,
+    start: Lens,
+    *,
+    skew: bool,
+) -> LensCalibration:
+    """Lens, poses and board together; paper boards are as uneven as they are large."""
+    half_mm = 0.5 * float(np.ptp(board.corners_mm, axis=0).max())
+    bow = (4e-3 * half_mm, 1.2e-3 * half_mm, 1.2e-3 * half_mm)
+    priors = AdjustmentPriors(
+        lens=wide_prior(start, skew=skew), bow_mm=bow, corner_mm=5e-3 * board.square_mm
+    )
+    poses = [resect(start, board.corners_mm, view).pose for view in views]
+    adjusted = adjust(board, views, start, poses, priors)
     return LensCalibration(adjusted.lens, adjusted, tuple(used), tuple(sorted(rejected)))
