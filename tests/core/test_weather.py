@@ -1,0 +1,40 @@
+"""Weather, animals and covers over many instants: a wrong value is never called good."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from core.results import Flag
+from drivers.sim.settings import Print, Scenario, SimSettings
+from tests.core.scenes import MINUTE
+from tests.core.sessions import Session, session
+
+ROWS = 8
+CASES = (
+    *("night", "insect_main", "insect_sub", "snow", "glare"),
+    *("cobweb main", "cobweb sub", "cover main", "cover sub"),
+)
+
+
+@pytest.fixture(scope="module")
+def lab() -> Session:
+    return session(11000.0, SimSettings(seed=3), lens=8, rig=10)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_no_wrong_value_is_called_good(lab: Session, case: str):
+    kind, _, role = case.partition(" ")
+    there = lab.with_world(Scenario(kind, role=role or None))
+    start = there.world.settings.start_utc
+    for k in range(ROWS):
+        row = there.row(start + (30 + 41 * k) * MINUTE)
+        if row.measurement.flag is Flag.GOOD:
+            assert np.abs(row.error_mm / row.sigma_mm).max() < 5.0
+
+
+@pytest.mark.parametrize("line_error_um", [0.0, 10.0, 60.0])
+def test_clear_rows_are_good_on_good_and_poor_prints(line_error_um: float):
+    printed = SimSettings(seed=5, print=Print(line_error_um=line_error_um))
+    rows = session(11000.0, printed, lens=8, rig=10).rows(12, every_min=47.0)
+    assert [row.measurement.reasons for row in rows] == [()] * 12
