@@ -19,7 +19,7 @@ from daemon.commands.capture import frame_text
 from daemon.commands.options import Options, common_options, json_option, pass_options
 from daemon.commands.output import print_json, print_table
 from daemon.config import Config, Installation
-from daemon.devices import open_clock, open_pair_source, require_backend
+from daemon.devices import open_clock, open_head, open_pair_source, require_backend
 from daemon.errors import ConfigError, DcamError, ExitCode, exit_code_of, lines_of
 from daemon.health import clock_is_synchronised, dcamd_runs, has_stepped_clock
 from daemon.lock import sole_writer
@@ -69,6 +69,7 @@ def command(options: Options, hardware: bool, as_json: bool) -> int:
     ]
     if hardware:
         findings += _cameras(site)
+        findings += _head(site.config)
     if as_json:
         print_json({"command": "check", "findings": [_fields(finding) for finding in findings]})
     else:
@@ -207,3 +208,30 @@ def _cameras(site: Installation) -> Iterator[Finding]:
         yield Finding("skew", "warning", f"{text}: check cables and the load of the computer")
     else:
         yield Finding("skew", "ok", text)
+
+
+def _head(config: Config) -> Iterator[Finding]:
+    """Ask the head at the port, if there is one, who and where it is; nothing moves."""
+    if not config.pan_tilt.is_serial:
+        return
+    try:
+        with closing(open_head(config)) as head:
+            report = head.describe()
+    except (DriverError, DcamError) as error:
+        yield failed("head", error)
+        return
+    yield Finding("head", "ok", f"{report.name} at {config.pan_tilt.port}")
+    if report.position_deg is None:
+        text = "answers nothing: it is moved by time, and only the images show where it is"
+        yield Finding("head position", "warning", text)
+    else:
+        pan_deg, tilt_deg = report.position_deg
+        home = config.pan_tilt.home_deg
+        text = f"pan {pan_deg:.3f} tilt {tilt_deg:.3f} deg, home is {home[0]:g} {home[1]:g}"
+        yield Finding("head position", "ok", text)
+    if report.limits_deg is not None:
+        pan, tilt = report.limits_deg
+        text = f"pan {pan[0]:.1f} to {pan[1]:.1f}, tilt {tilt[0]:.1f} to {tilt[1]:.1f} deg"
+        yield Finding("head limits", "ok", text)
+    if report.power is not None:
+        yield Finding("head power", "ok", report.power)
