@@ -9,7 +9,6 @@ beside it.
 
 from __future__ import annotations
 
-import base64
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -106,7 +105,7 @@ class Posterior:
         return Posterior(*(_rounded(getattr(short, name)) for name in Posterior.__slots__))
 
     def to_dict(self) -> dict[str, Any]:
-        """Give plain JSON types: single-precision numbers, base64."""
+        """Give plain JSON types: single-precision numbers, in hexadecimal."""
         return {name: _pack(getattr(self, name)) for name in Posterior.__slots__}
 
     @classmethod
@@ -165,9 +164,9 @@ def _rounded(array: FloatArray) -> FloatArray:
 
 def _pack(array: FloatArray) -> dict[str, Any]:
     raw = np.ascontiguousarray(array, dtype="<f4").tobytes()
-    return {"shape": list(array.shape), "float32": base64.b64encode(raw).decode("ascii")}
+    return {"shape": list(array.shape), "float32": raw.hex()}
 
 
 def _unpack(data: dict[str, Any]) -> FloatArray:
-    raw = base64.b64decode(data["float32"], validate=True)
+    raw = bytes.fromhex(data["float32"])
     return np.frombuffer(raw, dtype="<f4").reshape(data["shape"]).astype(float)

@@ -188,7 +188,6 @@ def open_head(config: Config) -> PanTiltHead:
     Raises ConfigError.
     """
     from drivers.head_home import HomedHead
-
     from drivers.pelco_d import PelcoHead, TimedPelcoHead
     from drivers.ptu_ascii import PtuHead
     from drivers.serial_line import SerialLine
