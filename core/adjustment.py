@@ -73,17 +73,7 @@ def adjust(
     The first view is the reference if there is a rig; main_views[v] holds the main camera's
     discs of view v, or None. Raises numpy.linalg.LinAlgError if the views determine too little.
     """
-    terms = board_terms(board)
-    state = State(
-        start_lens,
-        np.zeros(terms.shape[2]),
-        np.zeros((len(board.corners_mm), 2)),
-        tuple(start_poses),
-        start_rig,
-        board.corners_mm.copy(),
-        np.zeros((len(priors.discs_px), 2)),
-    )
-    problem = Problem(board, terms, views, state, priors, main_views)
+    problem, state = _begin(board, views, start_lens, start_poses, priors, start_rig, main_views)
     spreads = Spreads(priors.line_mm, priors.line_mm, priors.corner_mm)
     scale = _TOLERANT  # at first, then let the weights tighten as the fit gets good
     for _ in range(iterations):
@@ -96,7 +86,55 @@ def adjust(
                 break
             spreads = renewed
         scale = system.scale
-    system = problem.linearise(state, scale, spreads)
+    return _adjusted(problem, state, spreads, problem.linearise(state, scale, spreads))
+
+
+def foresee(
+    board: Board,
+    views: Sequence[BoardView],
+    lens: Lens,
+    poses: Sequence[Pose],
+    priors: AdjustmentPriors,
+    rig: Rig | None,
+    main_views: Sequence[MainView | None],
+    spreads: Spreads,
+) -> Adjusted:
+    """Say what the adjustment will know where lens, poses and rig are these: nothing is fitted.
+
+    The views are those places in the images, free of noise, with the covariance that located
+    ones will have; spreads are those of the print to come.
+    """
+    problem, state = _begin(board, views, lens, poses, priors, rig, main_views)
+    system = problem.linearise(state, 1.0, spreads, noise=1.0)
+    system.view_rms = [float(np.sqrt(np.mean(v.covariance_px2[:, [0, 1], [0, 1]]))) for v in views]
+    return _adjusted(problem, state, spreads, system)
+
+
+def _begin(
+    board: Board,
+    views: Sequence[BoardView],
+    lens: Lens,
+    poses: Sequence[Pose],
+    priors: AdjustmentPriors,
+    rig: Rig | None,
+    main_views: Sequence[MainView | None],
+) -> tuple[Problem, State]:
+    """Set up the problem, and the state it starts from: the nominal board."""
+    terms = board_terms(board)
+    state = State(
+        lens,
+        np.zeros(terms.shape[2]),
+        np.zeros((len(board.corners_mm), 2)),
+        tuple(poses),
+        rig,
+        board.corners_mm.copy(),
+        np.zeros((len(priors.discs_px), 2)),
+    )
+    return Problem(board, terms, views, state, priors, main_views), state
+
+
+def _adjusted(problem: Problem, state: State, spreads: Spreads, system: System) -> Adjusted:
+    """Put together what is told; the system is that of this state."""
     return Adjusted(
         state.lens,
         state.shape[:SHAPE_PARAMETERS],
@@ -146,4 +184,4 @@ def _line_spread(sigma_mm: float, lines_mm: FloatArray, variance_mm2: FloatArray
     return max(renewed, _LINE_FLOOR_MM)
 
 
-__all__ = ["Adjusted", "AdjustmentPriors", "adjust"]
+__all__ = ["Adjusted", "AdjustmentPriors", "Spreads", "adjust", "foresee"]

@@ -183,6 +183,12 @@ class Drawing:
         board = self.see_board(motion.compose(self.T_CS1_WS))
         return PairView(name, _NO_IMAGE, board, self.see_discs(motion))
 
+    def poses(self, campaign: Campaign) -> list[Pose]:
+        """`T_CS_WS` of all views of a calibration, in the order of `Views.all`."""
+        count = campaign.lens_views
+        moved = [self.head_motion(p).compose(self.T_CS1_WS) for p in campaign.positions_deg]
+        return [self.T_CS1_WS, *moved, *(self.held_pose(k, count) for k in range(count))]
+
     def views(self, campaign: Campaign) -> Views:
         """All views of a calibration."""
         count = campaign.lens_views

@@ -9,7 +9,7 @@ from enum import StrEnum
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from core.adjustment import Adjusted, AdjustmentPriors, adjust
+from core.adjustment import Adjusted, AdjustmentPriors, Spreads, adjust, foresee
 from core.board import Board
 from core.compensation import affine
 from core.discs import Discs
@@ -98,10 +98,7 @@ def start_from_views(views: Views, recipe: Recipe) -> tuple[Lens, list[Rejected]
 
 def fit_views(views: Views, start: Lens, recipe: Recipe) -> Fit:
     """Fit the model to the views. Raises NotObservableError if the motions are too few."""
-    nominal, reference = recipe.board.corners_mm, views.reference.discs
-    B, _ = affine(
-        recipe.site.main_target.centres_mm[reference.found], reference.points_px[reference.found]
-    )
+    nominal, B = recipe.board.corners_mm, _main_scale(views, recipe)
     poses = [resect(start, nominal, v.board.view).pose for v in views.all]
     require_motion([p.compose(poses[0].inverse()) for p in poses[1 : 1 + len(views.rig)]])
     if recipe.method is Method.RIGID:
@@ -109,10 +106,33 @@ def fit_views(views: Views, start: Lens, recipe: Recipe) -> Fit:
     return _fit_paper(views, start, poses, B, recipe)
 
 
-def _fit_rigid(
-    views: Views, start: Lens, poses: Sequence[Pose], B: FloatArray, recipe: Recipe
+def foresee_fit(
+    views: Views, lens: Lens, poses: Sequence[Pose], recipe: Recipe, spreads: Spreads
 ) -> Fit:
-    """Everything jointly, the survey as prior."""
+    """Say what a fit of the rigid model to such views will know; views, lens and poses are exact.
+
+    spreads are those of the print to come. Raises NotObservableError if the motions are too few.
+    """
+    require_motion([p.compose(poses[0].inverse()) for p in poses[1 : 1 + len(views.rig)]])
+    return _fit_rigid(views, lens, poses, _main_scale(views, recipe), recipe, spreads)
+
+
+def _main_scale(views: Views, recipe: Recipe) -> FloatArray:
+    """B~ of Eq. 8 by the reference, (2, 2) px/mm."""
+    discs = views.reference.discs
+    centres_mm = recipe.site.main_target.centres_mm
+    return affine(centres_mm[discs.found], discs.points_px[discs.found])[0]
+
+
+def _fit_rigid(
+    views: Views,
+    start: Lens,
+    poses: Sequence[Pose],
+    B: FloatArray,
+    recipe: Recipe,
+    foreseen: Spreads | None = None,
+) -> Fit:
+    """Everything jointly, the survey as prior; with foreseen spreads nothing is moved."""
     site, reference = recipe.site, views.reference.discs
     priors = AdjustmentPriors(
         lens=lens_prior(site.sub, skew=recipe.skew),
@@ -121,7 +141,8 @@ def _fit_rigid(
     )
     main = [None, *(main_view(v.discs, reference) for v in views.rig), *(None for _ in views.lens)]
     boards = [v.board.view for v in views.all]
-    adjusted = adjust(recipe.board, boards, start, poses, priors, drawn_rig(site, B), main)
+    given = recipe.board, boards, start, poses, priors, drawn_rig(site, B), main
+    adjusted = adjust(*given) if foreseen is None else foresee(*given, foreseen)
     if adjusted.rig is None:
         msg = "calibration: the rig views show too little of the main target"
         raise CalibrationError(msg)
@@ -265,6 +286,18 @@ def without_moved_targets(fit: Fit, recipe: Recipe) -> tuple[Fit, list[Rejected]
 
 def setup_of(fit: Fit, recipe: Recipe) -> Setup:
     """What measurements need of a fit."""
+    setup = whole_setup(fit, recipe)
+    effects_px = [
+        expected_effects(setup, recipe.site.sub, motion)[0].through(fit.posterior)
+        for motion in (*fit.motions, *drift_motions(recipe.site.quality))
+    ]
+    seen = fit.views.reference.discs.found
+    effects_px.append(fit.posterior.discs[seen].mean(axis=0))  # raw displacement
+    return replace(setup, posterior=fit.posterior.compressed(np.concatenate(effects_px)))
+
+
+def whole_setup(fit: Fit, recipe: Recipe) -> Setup:
+    """Likewise with all that the fit knows, what no measurement needs included."""
     reference = fit.views.reference
     levels = Levels(
         float(np.median(fit.adjusted.view_rms_px)),
@@ -275,7 +308,7 @@ def setup_of(fit: Fit, recipe: Recipe) -> Setup:
         max(float(np.linalg.norm(m.rotation_rad)) for m in fit.motions),
         max(float(np.linalg.norm(m.t_mm)) for m in fit.motions),
     )
-    setup = Setup(
+    return Setup(
         recipe.board,
         fit.adjusted.corners_mm,
         fit.adjusted.lens,
@@ -286,12 +319,6 @@ def setup_of(fit: Fit, recipe: Recipe) -> Setup:
         fit.posterior,
         levels,
     )
-    effects_px = [
-        expected_effects(setup, recipe.site.sub, motion)[0].through(fit.posterior)
-        for motion in (*fit.motions, *drift_motions(recipe.site.quality))
-    ]
-    effects_px.append(fit.posterior.discs[reference.discs.found].mean(axis=0))  # raw displacement
-    return replace(setup, posterior=fit.posterior.compressed(np.concatenate(effects_px)))
 
 
 def validate(fit: Fit, recipe: Recipe) -> FloatArray:

@@ -184,8 +184,13 @@ class Problem:
         sigma[layout.shape] = np.concatenate([shape, lines])
         self.sigma = sigma
 
-    def linearise(self, state: State, scale: float, spreads: Spreads) -> System:
-        """Sum up what all views and priors say about a step from this state."""
+    def linearise(
+        self, state: State, scale: float, spreads: Spreads, noise: float | None = None
+    ) -> System:
+        """Sum up what all views and priors say about a step from this state.
+
+        noise is the ratio of errors to their predicted size; None estimates it.
+        """
         size, corners = self.layout.size, len(self.board.corners_mm)
         system = System(
             np.zeros((size, size)),
@@ -195,7 +200,9 @@ class Problem:
             np.zeros((corners, 2)),
         )
         norms = [self._add_board_view(system, state, v, scale) for v in range(len(self.views))]
-        system.scale = robust_scale(np.concatenate(norms)) * self._freedom()
+        if noise is None:
+            noise = robust_scale(np.concatenate(norms)) * self._freedom()
+        system.scale = noise
         self._add_lines(system)
         self._add_main_views(system, state)
         self._add_priors(system, state, spreads)

@@ -20,7 +20,7 @@ MIN_RIG_VIEWS = 4
 _MIN_TURN_RAD = 2e-4
 _MIN_RATIO = 0.05
 _FAR_TURNS = 10.0
-_AXES = (
+AXES = (
     "rotation about x",
     "rotation about y",
     "rotation about z",
@@ -87,7 +87,7 @@ def drift_motions(limits: QualityLimits) -> tuple[Pose, ...]:
 def drift_errors(setup: Setup, site: Site) -> tuple[DriftError, ...]:
     """Expected error (1 sigma, mm, the worse direction) of a row for each drift motion."""
     errors = []
-    for name, motion in zip(_AXES, drift_motions(site.quality), strict=True):
+    for name, motion in zip(AXES, drift_motions(site.quality), strict=True):
         expected = _expect(setup, site, motion)
         errors.append(
             DriftError(name, expected.sigma_mm(setup), expected.sigma_mm(setup, noise=False))
@@ -154,7 +154,7 @@ def further_motion(setup: Setup, site: Site) -> str | None:
     if not words or best > _WORTHWHILE * max(now):
         return None
     return (
-        f"to improve most: {words}; the worst of these, {_AXES[int(np.argmax(now))]}, would go "
+        f"to improve most: {words}; the worst of these, {AXES[int(np.argmax(now))]}, would go "
         f"from {max(now):.3f} mm to about {best:.3f} mm"
     )
 

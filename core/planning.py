@@ -1,8 +1,9 @@
 """What a site will measure, before it is built: the same calibration and correction, no images.
 
 Views are projected from the drawing instead of located in images, with the covariance that located
-corners and discs would have. The project's own fit then gives its own covariance, and its own
-correction the sigma of a row: what is planned here is what a calibration will report.
+corners and discs would have. The normal equations of the project's own fit, at the truth, give the
+covariance of the calibration; its own correction gives that of a row. Nothing is fitted: what is
+planned here is the sigma that a calibration and its rows will report.
 """
 
 from __future__ import annotations
@@ -13,15 +14,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from core.compensation import corrected_displacement
+from core.adjustment import Spreads
 from core.drawing import Campaign, Drawing
-from core.dual import Method, Recipe, fit_views, setup_of
-from core.observability import drift_errors
+from core.dual import Method, Recipe, foresee_fit, whole_setup
+from core.errors import TargetNotFoundError
+from core.observability import AXES, drift_motions
 from core.pose import Pose
-from core.propagation import reference_noise
-from core.resection import resect
+from core.posterior import Effects, Posterior
+from core.propagation import DISC_FLOOR_PX, predict_shift, reference_noise, shift_effects
+from core.resection import MIN_CORNERS, pose_jacobian
 from core.setup import Setup
-from core.site import FloatArray, QualityLimits, Site
+from core.site import FloatArray, Site
+
+FAIR_PRINT = Spreads(column_mm=0.005, row_mm=0.005, corner_mm=0.001)
+"""How far lines and corners of the board will be from where they should: a good laser print."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,14 +64,28 @@ class Foreseen:
 
 
 def calibrate_drawing(drawing: Drawing, campaign: Campaign) -> Setup:
-    """Fit the calibration's model to views as drawn.
+    """Say what a calibration by these views will know; its posterior is whole.
 
     Raises NotObservableError if the positions do not determine it, TargetNotFoundError if the
-    board is hardly in view.
+    board or the discs are hardly in view.
     """
     recipe = Recipe(drawing.site, drawing.board, Method.RIGID, skew=False)
-    fit = fit_views(drawing.views(campaign), drawing.lens, recipe)
-    return replace(setup_of(fit, recipe), posterior=fit.posterior)
+    views = drawing.views(campaign)
+    few = [view for view in views.all if view.board.visible < MIN_CORNERS]
+    if few:
+        msg = (
+            f"sub target: only {few[0].board.visible} corners of the board in the image of view "
+            f"{few[0].name!r}, {MIN_CORNERS} are needed; check [target.sub] and [camera.sub]"
+        )
+        raise TargetNotFoundError(msg)
+    if not views.reference.discs.found.all():
+        msg = (
+            "main target: not all discs are in the image at rest; check [target.main] and "
+            "[camera.main]"
+        )
+        raise TargetNotFoundError(msg)
+    fit = foresee_fit(views, drawing.lens, drawing.poses(campaign), recipe, FAIR_PRINT)
+    return whole_setup(fit, recipe)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,43 +96,78 @@ class FrameNoise:
     discs: float = 1.0
 
 
-def foresee(drawing: Drawing, setup: Setup, noise: FrameNoise | None = None) -> Foreseen:
-    """Foresee the sigma of corrected displacements, as `corrected_displacement` gives it."""
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What the error of a corrected displacement will be made of, at one motion of the rig."""
+
+    effects: Effects
+    """Of all that is calibrated, px."""
+    pose_px2: FloatArray
+    """(2, 2) from the frame's corners."""
+    discs_px2: FloatArray
+    """(2, 2) from the frame's discs."""
+    to_mm: FloatArray
+    """(2, 2) mm/px."""
+
+    def calibration_mm2(self, posterior: Posterior) -> FloatArray:
+        """Covariance (2, 2) from the calibration alone."""
+        return np.asarray(self.to_mm @ self.effects.covariance(posterior) @ self.to_mm.T)
+
+    def covariance_mm2(self, posterior: Posterior, noise: FrameNoise) -> FloatArray:
+        """Covariance (2, 2) of a row, as `corrected_displacement` gives it."""
+        frame_px2 = noise.corners * self.pose_px2 + noise.discs * self.discs_px2
+        return self.calibration_mm2(posterior) + self.to_mm @ frame_px2 @ self.to_mm.T
+
+
+def row_at(drawing: Drawing, setup: Setup, motion: Pose) -> Row:
+    """A row with the rig moved by `T_CSj_CS1`, the main target at rest.
+
+    Raises TargetNotFoundError if the targets are out of view then.
+    """
+    pair, pose = drawing.see_pair("row", motion), motion.compose(setup.reference_pose)
+    view, which = pair.board.view, np.nonzero(pair.discs.found)[0]
+    if len(view.index) < MIN_CORNERS or len(which) == 0:
+        msg = "the expected drift takes a target out of its image: see [quality] expected_drift_*"
+        raise TargetNotFoundError(msg)
+    weights, root = np.full(len(which), 1.0 / len(which)), view.whitening()
+    prediction = predict_shift(setup.model, setup.reference_discs_px[which], motion)
+    effects, by_pose = shift_effects(setup, prediction, which, weights, pose, view, root)
+    jacobian = root @ pose_jacobian(setup.lens, pose, setup.corners_mm[view.index])[1]
+    flat = jacobian.reshape(-1, 6)
+    each_px2 = pair.discs.covariance_px2[which] + DISC_FLOOR_PX**2 * np.eye(2)
+    return Row(
+        effects,
+        by_pose @ np.linalg.solve(flat.T @ flat, by_pose.T),
+        each_px2.mean(axis=0) / len(which),
+        np.linalg.inv(setup.B),
+    )
+
+
+def drift_rows(drawing: Drawing, setup: Setup) -> tuple[Row, ...]:
+    """Rows with the rig at rest, then with the largest expected drift about and along each axis."""
+    motions = (Pose.identity(), *drift_motions(drawing.site.quality))
+    return tuple(row_at(drawing, setup, motion) for motion in motions)
+
+
+def foresee(rows: Sequence[Row], posterior: Posterior, noise: FrameNoise | None = None) -> Foreseen:
+    """Foresee the sigma of corrected displacements at rest and within the drift (`drift_rows`)."""
     noise = noise or FrameNoise()
-    limits = drawing.site.quality
-    still = row_covariance(drawing, setup, Pose.identity(), noise)
-    drifts = drift_motions(limits)
-    rows = [row_covariance(drawing, setup, motion, noise) for motion in drifts]
-    reported = drift_errors(setup, drawing.site)
+    still, *drifts = (row.covariance_mm2(posterior, noise) for row in rows)
     # The error of a small motion's correction is linear in the motion; evenly spread within
     # its limits a motion has a third of the variance that its limit has.
-    drifted = still + sum((row - still for row in rows), np.zeros((2, 2))) / 3.0
+    drifted = still + sum((drift - still for drift in drifts), np.zeros((2, 2))) / 3.0
     return Foreseen(
         np.sqrt(np.diag(still)),
         np.sqrt(np.diag(drifted)),
         tuple(
-            MotionSigma(
-                error.motion, error.calibration_mm, math.sqrt(np.linalg.eigvalsh(row).max())
-            )
-            for error, row in zip(reported, rows, strict=True)
+            MotionSigma(name, _worst_mm(row.calibration_mm2(posterior)), _worst_mm(drift))
+            for name, row, drift in zip(AXES, rows[1:], drifts, strict=True)
         ),
     )
 
 
-def drift_motions(limits: QualityLimits) -> list[Pose]:
-    """`T_CSj_CS1` of the largest expected drift about and along each axis, as `drift_errors`."""
-    amounts = [limits.expected_drift_mrad * 1e-3] * 3 + [limits.expected_drift_mm] * 3
-    steps = np.diag(amounts)
-    return [Pose.from_vectors(step[:3], step[3:]) for step in steps]
-
-
-def row_covariance(drawing: Drawing, setup: Setup, motion: Pose, noise: FrameNoise) -> FloatArray:
-    """Covariance (2, 2) mm^2 of a corrected displacement with the rig moved by `T_CSj_CS1`."""
-    pair = drawing.see_pair("row", motion)
-    board = resect(setup.lens, setup.corners_mm, pair.board.view)
-    board = replace(board, covariance=noise.corners * board.covariance)
-    discs = replace(pair.discs, covariance_px2=noise.discs * pair.discs.covariance_px2)
-    return corrected_displacement(setup, discs, board, pair.board.view)[0].covariance_mm2
+def _worst_mm(covariance_mm2: FloatArray) -> float:
+    return math.sqrt(np.linalg.eigvalsh(covariance_mm2).max())
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +179,7 @@ class Limit:
     """`typical_mm` if this were perfect."""
 
 
-def limits_of(drawing: Drawing, setup: Setup) -> tuple[Limit, ...]:
+def limits_of(drawing: Drawing, setup: Setup, rows: Sequence[Row]) -> tuple[Limit, ...]:
     """What limits the accuracy: the sigma within the drift if one thing after another were perfect.
 
     The most costly first. What a part known perfectly leaves is the conditional covariance.
@@ -138,16 +193,13 @@ def limits_of(drawing: Drawing, setup: Setup) -> tuple[Limit, ...]:
         "distance and scale of the main target": whole.knowing(whole.model[6:8]),
         "noise of the reference's pose": whole.knowing(reference_noise(setup, drawing.site.sub)),
     }
-    limits = [
-        Limit(cause, foresee(drawing, replace(setup, posterior=left)).typical_mm)
-        for cause, left in parts.items()
-    ]
+    limits = [Limit(cause, foresee(rows, left).typical_mm) for cause, left in parts.items()]
     quiet = {
         "noise of a frame's pose (sub-camera)": FrameNoise(corners=0.0),
         "noise of the discs (main camera)": FrameNoise(discs=0.0),
     }
     limits += [
-        Limit(cause, foresee(drawing, setup, noise).typical_mm) for cause, noise in quiet.items()
+        Limit(cause, foresee(rows, whole, noise).typical_mm) for cause, noise in quiet.items()
     ]
     return tuple(sorted(limits, key=lambda limit: limit.without_mm))
 
@@ -223,13 +275,13 @@ def possible_changes(drawing: Drawing, campaign: Campaign) -> tuple[Change, ...]
     )
 
 
-def improvements(now: Foreseen, setup: Setup, changes: Sequence[Change]) -> tuple[Improvement, ...]:
+def improvements(now: Foreseen, changes: Sequence[Change]) -> tuple[Improvement, ...]:
     """Plan again with each change; those worth it, the best first."""
     found = []
     for change in changes:
-        calibrates_anew = change.noise == FrameNoise()
-        again = calibrate_drawing(change.drawing, change.campaign) if calibrates_anew else setup
-        typical_mm = foresee(change.drawing, again, change.noise).typical_mm
+        again = calibrate_drawing(change.drawing, change.campaign)
+        rows = drift_rows(change.drawing, again)
+        typical_mm = foresee(rows, again.posterior, change.noise).typical_mm
         if typical_mm < WORTHWHILE * now.typical_mm:
             found.append(Improvement(change.what, typical_mm))
     return tuple(sorted(found, key=lambda improvement: improvement.typical_mm))

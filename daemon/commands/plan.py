@@ -16,6 +16,7 @@ from core.planning import (
     Improvement,
     Limit,
     calibrate_drawing,
+    drift_rows,
     foresee,
     improvements,
     limits_of,
@@ -125,18 +126,19 @@ def make_plan(
     try:
         campaign = Campaign(lens_views, _positions(drawing, reach_deg))
         setup = calibrate_drawing(drawing, campaign)
-        foreseen = foresee(drawing, setup)
+        rows = drift_rows(drawing, setup)
     except CoreError as error:
         warnings = (*warnings_of(drawing, campaign, room), str(error))
         return Plan(site, campaign, room, None, (), (), None, warnings)
+    foreseen = foresee(rows, setup.posterior)
     warnings = (*warnings_of(drawing, campaign, room), *_sigma_warnings(foreseen, site))
     return Plan(
         site,
         campaign,
         room,
         foreseen,
-        limits_of(drawing, setup),
-        improvements(foreseen, setup, possible_changes(drawing, campaign)),
+        limits_of(drawing, setup, rows),
+        improvements(foreseen, possible_changes(drawing, campaign)),
         further_motion(setup, site),
         warnings,
     )
