@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from core.board import Board
-from core.corner_fit import CORNER_REACH_SQUARES, CornerFits, locate_corners
+from core.corner_fit import CORNER_REACH_SQUARES, CornerFits, locate_corners, shrink
 from core.errors import TargetNotFoundError
 from core.frames import GreyImage
 from core.lattice import Lattice, NamedLattice, join, name_near, name_on_board
@@ -25,8 +25,10 @@ _FIRST_REACH_PX, _FIRST_REACH_SQUARES = 7.0, 0.3
 _STENCIL_SQUARES = 0.5
 _CLEARLY_BETTER = 1.5
 _ROUGH_MISFIT_SQUARES = 0.1
-_HALF_SIZE_SQUARE_PX = 30.0
-"""Squares expected larger than this are found as well in the image at half size."""
+_ROUGHLY = 1e-6
+_LEAST_SQUARE_PX = 9.0
+"""Squares that are larger than this in a smaller image are found in it."""
+_MOST = 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +43,8 @@ class LocatedBoard:
     noise_dn: float
     contrast_dn: float
     blur_px: float
+    near: Pose | None = None
+    """Where the board is, to a tenth of a pixel; None where no lens was known."""
 
 
 def detect_board(image: GreyImage, board: Board) -> LocatedBoard:
@@ -48,15 +52,14 @@ def detect_board(image: GreyImage, board: Board) -> LocatedBoard:
 
     Raises TargetNotFoundError.
     """
-    grey = as_float(image)
-    height, width = grey.shape
-    named = name_on_board(_lattice(grey), board, width, height)
+    height, width = image.pixels.shape
+    named = name_on_board(_lattice(image), board, width, height)
     maps = np.zeros((len(named.index), 2, 5))
     maps[:, :, :2] = np.linalg.inv(named.steps_px)
     square_px = float(np.median(np.linalg.norm(named.steps_px, axis=1)))
     reach = float(np.clip(_FIRST_REACH_PX / square_px, _FIRST_REACH_SQUARES, CORNER_REACH_SQUARES))
     fits = locate_corners(image.pixels, image.saturation_dn, named.points_px, maps, reach)
-    return _located(named.index, fits, certain=named.certain)
+    return _located(named.index, fits, None, certain=named.certain)
 
 
 def locate_board(
@@ -68,11 +71,11 @@ def locate_board(
     not. Where both leave a doubt, the corners themselves decide, by how well they fit the board
     as it was printed. Raises TargetNotFoundError.
     """
-    grey = as_float(image)
-    square_px = lens.parameters[0] * board.square_mm / expected.t_mm[2]
-    lattice = _lattice(grey, half_size=square_px > _HALF_SIZE_SQUARE_PX)
-    height, width = grey.shape
+    height, width = image.pixels.shape
     expected_px = lens.project(expected.apply(corners_mm))
+    inside = (expected_px > 0.0).all(axis=1) & (expected_px < [width, height]).all(axis=1)
+    square_px = lens.parameters[0] * board.square_mm / expected.t_mm[2]
+    lattice = _lattice(image, square_px, int(inside.sum()))
     candidates = name_near(lattice, board, width, height, expected_px)
     tried = []
     for named in candidates:
@@ -90,7 +93,8 @@ def locate_board(
 def _rough_pose(lens: Lens, corners_mm: FloatArray, named: NamedLattice, expected: Pose) -> Pose:
     """Pose from corners that are right to some hundredths of a pixel."""
     covariance = np.broadcast_to(0.05**2 * np.eye(2), (len(named.index), 2, 2))
-    found = resect(lens, corners_mm, BoardView(named.index, named.points_px, covariance), expected)
+    view = BoardView(named.index, named.points_px, covariance)
+    found = resect(lens, corners_mm, view, expected, settled=_ROUGHLY)
     step_px = float(np.median(np.linalg.norm(named.steps_px, axis=1)))
     if found.plain_rms_px > _ROUGH_MISFIT_SQUARES * step_px:
         msg = f"sub target: what looks like a board does not fit it, by {found.plain_rms_px:.1f} px"
@@ -112,27 +116,55 @@ def refine_board(
     The prediction must be right to a third of a square. Raises TargetNotFoundError if no
     corner should be in the image.
     """
-    grey = as_float(image)
-    index, points, maps = predict_corners(lens, pose, board, corners_mm, grey.shape)
+    index, points, maps = predict_corners(lens, pose, board, corners_mm, image.pixels.shape)
     if len(index) == 0:
         msg = "sub target: the predicted pose puts no corner into the image"
         raise TargetNotFoundError(msg)
     fits = locate_corners(image.pixels, image.saturation_dn, points, maps)
-    return _located(index, fits, certain=certain)
+    return _located(index, fits, pose, certain=certain)
 
 
-def _lattice(grey: FloatArray, *, half_size: bool = False) -> Lattice:
-    """Find the board's corners, to some hundredths of a pixel; at half size if that will do."""
-    height, width = grey.shape
-    if not half_size:
-        return without_strays(join(find_saddles(grey)), width, height)
-    resized = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    saddles = find_saddles(np.asarray(resized, dtype=np.float32))
-    lattice = join(replace(saddles, points_px=2.0 * saddles.points_px + 0.5))
-    return without_strays(lattice, width, height)
+def _lattice(image: GreyImage, square_px: float = 0.0, wanted: int = 0) -> Lattice:
+    """Find the board's corners, to some hundredths of a pixel of the image searched.
+
+    Squares expected to be large are found as well in a smaller image; where fewer corners come
+    of it than most of those wanted, the next larger one is searched too.
+    """
+    height, width = image.pixels.shape
+    best: Lattice | None = None
+    trouble: TargetNotFoundError | None = None
+    for factor in (4, 2, 1):
+        if factor > 1 and square_px < factor * _LEAST_SQUARE_PX:
+            continue
+        try:
+            saddles = find_saddles(_shrunk(image, factor))
+            points = factor * saddles.points_px + 0.5 * (factor - 1)
+            lattice = without_strays(join(replace(saddles, points_px=points)), width, height)
+        except TargetNotFoundError as error:
+            trouble = error
+            continue
+        if best is None or len(lattice.ij) > len(best.ij):
+            best = lattice
+        if len(best.ij) >= _MOST * wanted:
+            return best
+    if best is None:
+        raise trouble or TargetNotFoundError
+    return best
 
 
-def _located(index: IntArray, fits: CornerFits, *, certain: bool) -> LocatedBoard:
+def _shrunk(image: GreyImage, factor: int) -> FloatArray:
+    """Give the image as float32, at 1/factor of its size by the means of blocks."""
+    if factor == 1:
+        return as_float(image)
+    if factor == 4:
+        return shrink(image.pixels)
+    half = cv2.resize(image.pixels, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    return np.asarray(half, dtype=np.float32)
+
+
+def _located(
+    index: IntArray, fits: CornerFits, near: Pose | None, *, certain: bool
+) -> LocatedBoard:
     usable = fits.usable & _alike(fits)
     view = BoardView(index, fits.points_px, fits.covariance_px2).select(usable)
     if usable.sum() < MIN_CORNERS:
@@ -148,6 +180,7 @@ def _located(index: IntArray, fits: CornerFits, *, certain: bool) -> LocatedBoar
         float(np.median(fits.noise_dn[usable])),
         float(np.median(fits.contrast_dn[usable])),
         float(np.median(fits.blur_px[usable])),
+        near,
     )
 
 

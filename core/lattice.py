@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from core.board import Board
 from core.errors import TargetNotFoundError
+from core.lattice_kernels import keep_mutual, largest_component, link_arms
 from core.saddles import Saddles
 from core.site import BoolArray, FloatArray, IntArray
 
@@ -35,17 +35,11 @@ def join(saddles: Saddles) -> Lattice:
         msg = f"no checkerboard: only {len(saddles.points_px)} corner candidates in the image"
         raise TargetNotFoundError(msg)
     arms, links = _links(saddles)
-    best: dict[int, tuple[int, int, int]] = {}
-    unseen = set(np.nonzero((links >= 0).sum(axis=1) >= 2)[0].tolist())
-    while unseen:
-        labels = _grow(min(unseen), arms, links)
-        unseen -= labels.keys()
-        if len(labels) > len(best):
-            best = labels
-    if len(best) < _MIN_CORNERS:
-        msg = f"no checkerboard: the largest lattice in the image has {len(best)} corners"
+    index, labels = largest_component(arms, links)
+    if len(index) < _MIN_CORNERS:
+        msg = f"no checkerboard: the largest lattice in the image has {len(index)} corners"
         raise TargetNotFoundError(msg)
-    return _upright(best, saddles, arms)
+    return _upright(index, labels, saddles, arms)
 
 
 def _links(saddles: Saddles) -> tuple[FloatArray, IntArray]:
@@ -58,70 +52,15 @@ def _links(saddles: Saddles) -> tuple[FloatArray, IntArray]:
     )
     nearest = cKDTree(points).query(points, k=min(_NEIGHBOURS, n))[1]
     near = np.asarray(nearest, dtype=np.int64)[:, 1:]
-    offset = points[near] - points[:, None]  # (n, k, 2)
-    along = (
-        offset[:, :, None, 0] * arms[:, None, :, 0] + offset[:, :, None, 1] * arms[:, None, :, 1]
-    )
-    across = np.abs(
-        offset[:, :, None, 0] * arms[:, None, :, 1] - offset[:, :, None, 1] * arms[:, None, :, 0]
-    )
-    # |cosine| between each of my arms and the neighbour's two edges, (n, k, 4, 2).
-    alike = np.abs(
-        arms[:, None, :, None, 0] * arms[near][:, :, None, :2, 0]
-        + arms[:, None, :, None, 1] * arms[near][:, :, None, :2, 1]
-    )
-    parallel = alike.max(axis=3) > 0.94
-    # Along an edge the corners alternate: in the arm's own frame the sector clockwise of it.
-    side = saddles.polarity[:, None] * np.array([1.0, -1.0, 1.0, -1.0])
-    other_side = np.take_along_axis(side[near], alike.argmax(axis=3), axis=2)
-    fits = (along > 0) & (across < 0.22 * along) & parallel & (other_side == -side[:, None, :])
-    cost = np.where(fits, along, np.inf)
-    choice = cost.argmin(axis=1)
-    links = np.take_along_axis(near, choice, axis=1)
-    links[~np.isfinite(cost.min(axis=1))] = -1
-    return arms, _mutual(links)
+    links, mutual = np.empty((2, n, 4), dtype=np.int64)
+    link_arms(points, near, arms, saddles.polarity, links)
+    keep_mutual(links, mutual)
+    return arms, mutual
 
 
-def _mutual(links: IntArray) -> IntArray:
-    n = len(links)
-    back = np.zeros_like(links, dtype=bool)
-    for arm in range(4):
-        target = links[:, arm]
-        back[:, arm] = (links[np.where(target >= 0, target, 0)] == np.arange(n)[:, None]).any(1)
-    return np.where(back, links, -1)
-
-
-_STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
-
-
-def _grow(seed: int, arms: FloatArray, links: IntArray) -> dict[int, tuple[int, int, int]]:
-    """Label what hangs together with a seed: {saddle: (i, j, arm that points along +i)}."""
-    labels = {seed: (0, 0, 0)}
-    taken = {(0, 0): seed}
-    queue = deque([seed])
-    while queue:
-        at = queue.popleft()
-        i, j, turn = labels[at]
-        for step in range(4):
-            to = int(links[at, (step + turn) % 4])
-            if to < 0 or to in labels:
-                continue
-            spot = (i + _STEPS[step][0], j + _STEPS[step][1])
-            if spot in taken:
-                continue
-            labels[to] = (*spot, int(np.argmax(arms[to] @ arms[at, turn])))
-            taken[spot] = to
-            queue.append(to)
-    return labels
-
-
-def _upright(
-    labels: dict[int, tuple[int, int, int]], saddles: Saddles, arms: FloatArray
-) -> Lattice:
+def _upright(index: IntArray, labels: IntArray, saddles: Saddles, arms: FloatArray) -> Lattice:
     """Turn the lattice by quarter turns until +i points to the right."""
-    index = np.array(list(labels))
-    ij = np.array([label[:2] for label in labels.values()])
-    first_arm = np.array([label[2] for label in labels.values()])
+    ij, first_arm = labels[:, :2], labels[:, 2]
     rightness = [arms[index, (first_arm + quarter) % 4, 0].mean() for quarter in range(4)]
     quarter = int(np.argmax(rightness))
     for _ in range(quarter):  # +i becomes what was +j

@@ -124,7 +124,7 @@ def _see_sub(
         located = locate_board(
             image, setup.lens, setup.board, setup.corners_mm, setup.reference_pose
         )
-        pose = resect(setup.lens, setup.corners_mm, located.view)
+        pose = resect(setup.lens, setup.corners_mm, located.view, located.near)
     except TargetNotFoundError:
         dark = [Reason.TOO_DARK] if too_dark(image) else []
         return None, [*reasons, *dark, Reason.SUB_TARGET_NOT_FOUND]

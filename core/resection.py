@@ -118,25 +118,33 @@ def pose_jacobian(lens: Lens, pose: Pose, points_mm: FloatArray) -> tuple[FloatA
 
 
 def resect(
-    lens: Lens, corners_mm: FloatArray, view: BoardView, start: Pose | None = None
+    lens: Lens,
+    corners_mm: FloatArray,
+    view: BoardView,
+    start: Pose | None = None,
+    settled: float = 1e-10,
 ) -> BoardPose:
     """Fit the pose to the located corners by robust Gauss-Newton.
 
     corners_mm (m, 3) are all corners of the board. Corners off by many standard deviations
-    fade out. Raises TargetNotFoundError with fewer than 8 corners, or if no pose fits them.
+    fade out. A step below `settled` (rad, mm) is the last. Raises TargetNotFoundError with fewer
+    than 8 corners, or if no pose fits them.
     """
     if len(view.index) < MIN_CORNERS:
         msg = f"sub target: {len(view.index)} corners located, {MIN_CORNERS} are needed"
         raise TargetNotFoundError(msg)
     points = corners_mm[view.index]
     try:
-        return _resect(lens, points, view, start or start_pose(lens, points, view.points_px))
+        near = start or start_pose(lens, points, view.points_px)
+        return _resect(lens, points, view, near, settled)
     except np.linalg.LinAlgError as error:
         msg = "sub target: no pose fits the corners found"
         raise TargetNotFoundError(msg) from error
 
 
-def _resect(lens: Lens, points: FloatArray, view: BoardView, pose: Pose) -> BoardPose:
+def _resect(
+    lens: Lens, points: FloatArray, view: BoardView, pose: Pose, settled: float
+) -> BoardPose:
     whiten = view.whitening()
     for _ in range(12):
         projected, by_pose, _, _ = pose_jacobian(lens, pose, points)
@@ -150,6 +158,6 @@ def _resect(lens: Lens, points: FloatArray, view: BoardView, pose: Pose) -> Boar
         normal = flat.T @ flat
         step = np.linalg.solve(normal, flat.T @ (white * np.sqrt(weights)[:, None]).ravel())
         pose = pose.perturbed(step)
-        if float(np.abs(step).max()) < 1e-10:
+        if float(np.abs(step).max()) < settled:
             break
     return BoardPose(pose, np.linalg.inv(normal) * scale**2, residual, weights, float(scale**2))
