@@ -14,7 +14,8 @@ from core.corners import detect_board, refine_board
 from core.errors import CalibrationError, TargetNotFoundError
 from core.frames import GreyImage
 from core.lens import Lens, LensModel
-from core.lens_start import ImageSize, wide_prior
+from core.lens_fit import wide_prior
+from core.lens_start import ImageSize
 from core.lens_start import start_lens as find_start
 from core.pose import Pose
 from core.resection import BoardView, resect

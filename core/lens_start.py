@@ -12,23 +12,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.adjustment import AdjustmentPriors, adjust
 from core.board import Board
 from core.errors import CalibrationError, TargetNotFoundError
 from core.lens import Lens, LensModel
+from core.lens_fit import as_model, fit_lens, wide_prior
 from core.pose import Pose
-from core.resection import BoardView, resect
+from core.resection import BoardView, pose_of_rays, resect
 from core.site import FloatArray
 
 MIN_VIEWS = 3
-_CORNERS_A_VIEW = 100
+_CORNERS_A_VIEW, _CORNERS_A_TRIAL = 100, 40
+_SIGMA_PX = 0.05
 _AGREE = 0.6
 """Share of the views that the lens is first fitted to; so many must be right."""
 _WORSE = 5.0
 _FLOOR_PX = 0.5
 _ROUNDS = 6
 _NO_FIT_PX = 1e6
-_CLEARLY = 0.9
+_CLEARLY, _NEARLY = 0.9, 2.0
 _TANGENT_FOCAL = np.geomspace(0.3, 8.0, 12)
 _FISHEYE_FOCAL = np.geomspace(0.15, 1.2, 8)
 """Focal lengths tried, in image widths."""
@@ -44,16 +45,8 @@ class StartLens:
     lens: Lens
     rejected: tuple[tuple[int, str], ...]
     """Views that do not belong to the others, with the reason."""
-
-
-def wide_prior(lens: Lens, *, skew: bool = False) -> FloatArray:
-    """(size,) 1-sigma of the lens parameters about a start: wide for all but the skew."""
-    focal = 0.1 * lens.parameters[0]
-    gamma = 0.005 * lens.parameters[0] if skew else 0.0
-    radial = 0.1 if lens.model is LensModel.FISHEYE else 0.3
-    sigmas = {"p1": 0.02, "p2": 0.02}
-    distortion = [sigmas.get(name, radial) for name in lens.model.coefficients]
-    return np.array([focal, focal, gamma, focal, focal, *distortion])
+    other: Lens | None = None
+    """A lens of the other kind (through a tangent, fisheye) that fits nearly as well."""
 
 
 def start_lens(
@@ -66,21 +59,21 @@ def start_lens(
     """
     if len(views) < MIN_VIEWS:
         raise CalibrationError(_too_few(len(views), len(views)))
-    thin = [_thinned(view) for view in views]
-    best: tuple[float, _Agreed] | None = None
+    thin = [thinned(view, _CORNERS_A_VIEW) for view in views]
+    few = [thinned(view, _CORNERS_A_TRIAL) for view in thin]
+    kinds = []
     for trials in _trials(size, focal_px):
-        misfits = [_misfits(lens, board, thin) for lens in trials]
-        typical = [float(np.median(misfit)) for misfit in misfits]
-        first = int(np.argmin(typical))
-        if typical[first] >= _NO_FIT_PX:
-            continue
-        agreed = _agree(trials[first], misfits[first], board, thin)
-        if best is None or agreed.typical_px < _CLEARLY * best[0]:
-            best = agreed.typical_px, agreed
-    if best is None or len(best[1].kept) < MIN_VIEWS:
-        kept = 0 if best is None else len(best[1].kept)
-        raise CalibrationError(_too_few(len(views), kept))
-    return StartLens(best[1].lens, _reasons(best[1], board, thin))
+        tried = [_tried(lens, board, few) for lens in trials]
+        first = min(tried, key=lambda t: float(np.median(t.off_px)))
+        if np.median(first.off_px) < _NO_FIT_PX:
+            kinds.append(_agree(first, board, thin))
+    kinds = [kind for kind in kinds if len(kind.kept) >= MIN_VIEWS]
+    if not kinds:
+        raise CalibrationError(_too_few(len(views), 0))
+    limit_px = max(_FLOOR_PX, _WORSE * min(kind.typical_px for kind in kinds))
+    best, *others = sorted(kinds, key=lambda kind: kind.demerit(limit_px))
+    near = [k.lens for k in others if k.comes_near(best)]
+    return StartLens(best.lens, _reasons(best, board, thin), near[0] if near else None)
 
 
 def _too_few(given: int, fit: int) -> str:
@@ -104,20 +97,53 @@ def _trials(size: ImageSize, focal_px: float | None) -> list[list[Lens]]:
     ]
 
 
-def _thinned(view: BoardView) -> BoardView:
-    """Enough corners for a start, spread over the view."""
-    step = max(1, len(view.index) // _CORNERS_A_VIEW)
-    keep = np.zeros(len(view.index), dtype=bool)
-    keep[::step] = True
-    thin = view.select(keep)
-    even = np.broadcast_to(0.05**2 * np.eye(2), (len(thin.index), 2, 2))
-    return BoardView(thin.index, thin.points_px, even)
+def thinned(view: BoardView, corners: int) -> BoardView:
+    """About so many corners of a view, spread over it, all trusted alike."""
+    keep = np.unique(np.linspace(0, len(view.index) - 1, corners).astype(int))
+    even = np.broadcast_to(_SIGMA_PX**2 * np.eye(2), (len(keep), 2, 2))
+    return BoardView(view.index[keep], view.points_px[keep], even)
 
 
-def _pose(lens: Lens, board: Board, view: BoardView) -> tuple[Pose | None, FloatArray]:
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """All views as a lens sees them."""
+
+    lens: Lens
+    poses: tuple[Pose | None, ...]
+    off_px: FloatArray
+    """(views,) how far the corners of each are off, rms: one wrong corner counts."""
+    median_px: FloatArray
+    """(views,) how far half of them are off at most."""
+
+
+def _tried(lens: Lens, board: Board, views: Sequence[BoardView]) -> _Seen:
+    """Each view's median misfit under a lens without distortion, by a pose without refinement."""
+    rays = lens.rays(np.concatenate([view.points_px for view in views]))
+    ends = np.cumsum([len(view.index) for view in views])[:-1]
+    poses: list[Pose | None] = []
+    off = np.full(len(views), _NO_FIT_PX)
+    for v, (view, own) in enumerate(zip(views, np.split(rays, ends), strict=True)):
+        points = board.corners_mm[view.index]
+        try:
+            pose = pose_of_rays(own, points)
+        except TargetNotFoundError:
+            poses.append(None)
+            continue
+        poses.append(pose)
+        miss = np.hypot(*(view.points_px - lens.project(pose.apply(points))).T)
+        off[v] = np.median(miss) if np.isfinite(miss).all() else _NO_FIT_PX
+    return _Seen(lens, tuple(poses), off, off)
+
+
+def _pose(
+    lens: Lens, board: Board, view: BoardView, start: Pose | None = None
+) -> tuple[Pose | None, FloatArray]:
     """Pose of a view, and how far each corner is off, px."""
     try:
-        found = resect(lens, board.corners_mm, view)
+        found = resect(lens, board.corners_mm, view, start)
+        if start is not None and not found.plain_rms_px < _FLOOR_PX:  # perhaps a false minimum
+            again = resect(lens, board.corners_mm, view)
+            found = min(found, again, key=lambda each: each.plain_rms_px)
     except TargetNotFoundError:
         return None, np.full(len(view.index), _NO_FIT_PX)
     off = np.hypot(*found.residuals_px.T)
@@ -126,77 +152,92 @@ def _pose(lens: Lens, board: Board, view: BoardView) -> tuple[Pose | None, Float
     return found.pose, off
 
 
-def _misfits(lens: Lens, board: Board, views: Sequence[BoardView]) -> FloatArray:
-    """(views,) median distance of the corners from a fitted board, px."""
-    return np.array([float(np.median(_pose(lens, board, view)[1])) for view in views])
+def _seen(lens: Lens, board: Board, views: Sequence[BoardView], before: _Seen) -> _Seen:
+    """Each view's misfit, its pose fitted."""
+    fits = [_pose(lens, board, v, pose) for v, pose in zip(views, before.poses, strict=True)]
+    rms = np.array([float(np.sqrt((off**2).mean())) for _, off in fits])
+    half = np.array([float(np.median(off)) for _, off in fits])
+    return _Seen(lens, tuple(pose for pose, _ in fits), rms, half)
 
 
 @dataclass(frozen=True, slots=True)
 class _Agreed:
     """A lens and the views that agree on it."""
 
-    lens: Lens
+    seen: _Seen
     kept: tuple[int, ...]
     typical_px: float
 
+    @property
+    def lens(self) -> Lens:
+        return self.seen.lens
 
-def _agree(lens: Lens, misfits: FloatArray, board: Board, views: Sequence[BoardView]) -> _Agreed:
-    """Fit to the views that fit best, again and again, then let in all that fit as well."""
+    def demerit(self, limit_px: float) -> tuple[int, float]:
+        """The kind that more views fit is the right one; of equals the tangent, if as good."""
+        handicap = 1.0 if self.lens.model is LensModel.FISHEYE else _CLEARLY
+        return -int((self.seen.off_px <= limit_px).sum()), handicap * self.typical_px
+
+    def comes_near(self, best: _Agreed) -> bool:
+        """Whether this kind of lens is worth a closer comparison."""
+        return self.kept == best.kept and self.typical_px < _NEARLY * best.typical_px
+
+
+def _agree(seen: _Seen, board: Board, views: Sequence[BoardView]) -> _Agreed:
+    """Fit to the views that fit best, again and again, then let in all that fit as well.
+
+    Views near the image's edge fit a lens badly that others were fitted to: they are let in when
+    most of their corners fit, and judged by all corners only when they have had their say.
+    """
     enough = max(MIN_VIEWS, int(np.ceil(_AGREE * len(views))))
     kept: tuple[int, ...] = ()
-    for attempt in range(_ROUNDS):
-        chosen = tuple(sorted(np.argsort(misfits, kind="stable")[:enough].tolist()))
+    for _ in range(_ROUNDS):
+        chosen = tuple(sorted(np.argsort(seen.off_px, kind="stable")[:enough].tolist()))
         if chosen == kept:
             break
         kept = chosen
-        lens = _fitted(lens, board, [views[v] for v in kept])
-        if attempt == 0 and lens.model is LensModel.RADIAL:
-            lens = extended(lens, LensModel.BROWN)
-        misfits = _rms(lens, board, views)
-    for _ in range(_ROUNDS):
-        typical = float(np.median(np.sort(misfits)[:enough]))
-        chosen = tuple(np.nonzero(misfits <= max(_FLOOR_PX, _WORSE * typical))[0].tolist())
-        if chosen == kept or len(chosen) < MIN_VIEWS:
+        seen = _fitted(seen, kept, board, views)
+    for by_most in (True, False):
+        for _ in range(_ROUNDS):
+            chosen = _as_good(seen.median_px if by_most else seen.off_px, enough)
+            if chosen == kept or len(chosen) < MIN_VIEWS:
+                break
+            kept = chosen
+            seen = _fitted(seen, kept, board, views)
+    return _Agreed(seen, kept, float(np.median(np.sort(seen.off_px)[:enough])))
+
+
+def _as_good(off_px: FloatArray, enough: int) -> tuple[int, ...]:
+    """Views that are off by no more than a few times the best ones."""
+    typical = float(np.median(np.sort(off_px)[:enough]))
+    return tuple(np.nonzero(off_px <= max(_FLOOR_PX, _WORSE * typical))[0].tolist())
+
+
+def _fitted(seen: _Seen, kept: Sequence[int], board: Board, views: Sequence[BoardView]) -> _Seen:
+    """All views by the lens fitted to some; the lens as it was if they determine too little."""
+    good = [(views[v], pose) for v in kept if (pose := seen.poses[v]) is not None]
+    lens = seen.lens
+    models = [lens.model, LensModel.BROWN] if lens.model is LensModel.RADIAL else [lens.model]
+    poses = [pose for _, pose in good]
+    for model in models:
+        start = as_model(lens, model)
+        try:
+            fitted = fit_lens(
+                start, board.corners_mm, [v for v, _ in good], poses, 3.0 * wide_prior(start)
+            )
+        except np.linalg.LinAlgError:
             break
-        kept = chosen
-        lens = _fitted(lens, board, [views[v] for v in kept])
-        misfits = _rms(lens, board, views)
-    return _Agreed(lens, kept, float(np.median(np.sort(misfits)[:enough])))
-
-
-def _rms(lens: Lens, board: Board, views: Sequence[BoardView]) -> FloatArray:
-    """(views,) rms distance of the corners from a fitted board, px: one wrong corner counts."""
-    each = [_pose(lens, board, view)[1] for view in views]
-    return np.array([float(np.sqrt((off**2).mean())) for off in each])
-
-
-def _fitted(lens: Lens, board: Board, views: Sequence[BoardView]) -> Lens:
-    """The lens fitted to views of the nominal board; as it was if they determine too little."""
-    pairs = [(view, _pose(lens, board, view)[0]) for view in views]
-    good = [(view, pose) for view, pose in pairs if pose is not None]
-    priors = AdjustmentPriors(
-        lens=3.0 * wide_prior(lens), scale=0.0, bow_mm=(0.0, 0.0, 0.0), corner_mm=0.0
-    )
-    try:
-        adjusted = adjust(board, [v for v, _ in good], lens, [p for _, p in good], priors)
-    except np.linalg.LinAlgError:
-        return lens
-    sound = np.isfinite(adjusted.lens.parameters).all() and adjusted.lens.parameters[:2].min() > 0
-    return adjusted.lens if sound else lens
-
-
-def extended(lens: Lens, model: LensModel) -> Lens:
-    """The same lens with further coefficients of the same kind, all zero."""
-    parameters = np.zeros(len(model.parameters))
-    parameters[: lens.size] = lens.parameters
-    return Lens(parameters, model)
+        lens, poses = fitted.lens, list(fitted.poses)
+    return _seen(lens, board, views, seen)
 
 
 def _reasons(
     agreed: _Agreed, board: Board, views: Sequence[BoardView]
 ) -> tuple[tuple[int, str], ...]:
     """Why views are left out: they do not fit, or are mirror images of the others."""
-    found = [_pose(agreed.lens, board, view) for view in views]
+    found = [
+        _pose(agreed.lens, board, view, pose)
+        for view, pose in zip(views, agreed.seen.poses, strict=True)
+    ]
     rejected = {
         v: _misfit_words(view, off, pose, agreed.typical_px)
         for v, (view, (pose, off)) in enumerate(zip(views, found, strict=True))

@@ -84,7 +84,11 @@ def robust_scale(norm: FloatArray) -> float:
 
 def start_pose(lens: Lens, points_mm: FloatArray, points_px: FloatArray) -> Pose:
     """Pose from a plane's homography, without a guess. Raises TargetNotFoundError."""
-    rays = lens.rays(points_px)
+    return pose_of_rays(lens.rays(points_px), points_mm)
+
+
+def pose_of_rays(rays: FloatArray, points_mm: FloatArray) -> Pose:
+    """Pose of points on a plane (n, 3) seen in directions (n, 3). Raises TargetNotFoundError."""
     ahead = _turn_to_axis(rays.mean(axis=0))  # a fisheye sees boards beside it, too
     turned = rays @ ahead.T
     ok, rotation, translation = cv2.solvePnP(
