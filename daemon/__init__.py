@@ -1,1 +1,8 @@
 """The field software: schedule, pipeline, store, recovery and commands."""
+
+import os
+
+# Our matrices have a few hundred rows. Threads that share such work wait for one another, spinning:
+# a calibration takes five times as long where another program wants the second core, and the other
+# program suffers. Read by numpy's and scipy's OpenBLAS when first imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -1,0 +1,3 @@
+"""For all tests: numerics with one thread, as in our programs. Loaded before anything of numpy."""
+
+import daemon  # noqa: F401
