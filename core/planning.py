@@ -66,26 +66,32 @@ class Foreseen:
 def calibrate_drawing(drawing: Drawing, campaign: Campaign) -> Setup:
     """Say what a calibration by these views will know; its posterior is whole.
 
-    Raises NotObservableError if the positions do not determine it, TargetNotFoundError if the
-    board or the discs are hardly in view.
+    Raises NotObservableError if the positions do not determine it, TargetNotFoundError if a
+    target is out of view.
     """
+    require_in_view(drawing)
     recipe = Recipe(drawing.site, drawing.board, Method.RIGID, skew=False)
     views = drawing.views(campaign)
-    few = [view for view in views.all if view.board.visible < MIN_CORNERS]
-    if few:
-        msg = (
-            f"sub target: only {few[0].board.visible} corners of the board in the image of view "
-            f"{few[0].name!r}, {MIN_CORNERS} are needed; check [target.sub] and [camera.sub]"
-        )
-        raise TargetNotFoundError(msg)
-    if not views.reference.discs.found.all():
-        msg = (
-            "main target: not all discs are in the image at rest; check [target.main] and "
-            "[camera.main]"
-        )
-        raise TargetNotFoundError(msg)
     fit = foresee_fit(views, drawing.lens, drawing.poses(campaign), recipe, FAIR_PRINT)
     return whole_setup(fit, recipe)
+
+
+def require_in_view(drawing: Drawing) -> None:
+    """Raise TargetNotFoundError unless a calibration's reference would show both targets."""
+    corners = drawing.see_board(drawing.T_CS1_WS).visible
+    if corners < MIN_CORNERS:
+        msg = (
+            f"sub target: {corners} corners of the board are in the image, {MIN_CORNERS} are "
+            "needed; check [target.sub] and [camera.sub] focal_length_mm"
+        )
+        raise TargetNotFoundError(msg)
+    found = drawing.see_discs(Pose.identity()).found
+    if not found.all():
+        msg = (
+            f"main target: {int(found.sum())} of {len(found)} discs are wholly in the image, all "
+            "are needed; check [target.main], or a shorter [camera.main] focal_length_mm"
+        )
+        raise TargetNotFoundError(msg)
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,13 +271,15 @@ def possible_changes(drawing: Drawing, campaign: Campaign) -> tuple[Change, ...]
             campaign,
         ),
         Change(
-            f"a survey four times as good: {rig.rotation_sigma_deg / 4:.2g} deg between the "
+            f"a survey four times as good: to {rig.rotation_sigma_deg / 4:.2g} deg between the "
             f"cameras, {rig.offset_sigma_mm / 4:.2g} mm of offset, "
             f"{main.distance_sigma_mm / 4:.2g} mm of distance",
             other(surveyed),
             campaign,
         ),
-        Change("four pairs a slot", drawing, campaign, FrameNoise(0.25, 0.25)),
+        Change(
+            "four pairs a slot ([schedule] burst = 4)", drawing, campaign, FrameNoise(0.25, 0.25)
+        ),
     )
 
 

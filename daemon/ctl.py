@@ -19,6 +19,7 @@ from daemon.log import configure_log
 
 COMMANDS = {
     "check": "Check config, state and clock; with --hardware cameras too.",
+    "plan": "Foresee what a site will see and how well it will measure.",
     "target": "Printable PDF of both targets at true scale.",
     "calibrate": "Calibrate from a frame set or with the pan-tilt head.",
     "capture": "Take and measure one pair now, and print it.",

@@ -21,6 +21,7 @@ from core.planning import (
     improvements,
     limits_of,
     possible_changes,
+    require_in_view,
 )
 from core.pose import Pose
 from core.room import Room, room_of, warnings_of
@@ -34,6 +35,7 @@ LENS_VIEWS = 12
 HEAD_LIMITS = Limits(pan_deg=180.0, tilt_deg=90.0)
 """The head is not asked: the image's edge limits the positions."""
 _QUALITY = ImageQuality()
+_TOLD_SHARE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +126,7 @@ def make_plan(
     room = room_of(drawing)
     campaign = Campaign(lens_views, ())
     try:
+        require_in_view(drawing)
         campaign = Campaign(lens_views, _positions(drawing, reach_deg))
         setup = calibrate_drawing(drawing, campaign)
         rows = drift_rows(drawing, setup)
@@ -170,13 +173,19 @@ def _positions(
 
 def say_plan(plan: Plan) -> None:
     """Print a plan for a person."""
-    print_table(("what", "main camera", "sub-camera"), _camera_rows(plan))
+    print_table(("as drawn", "main camera", "sub-camera"), _camera_rows(plan))
     say()
     for line in _room_lines(plan):
         say(line)
     if plan.foreseen is not None:
         say()
         _say_foreseen(plan, plan.foreseen)
+        say()
+        _say_limits(plan, plan.foreseen)
+        say()
+        _say_better(plan, plan.foreseen)
+    if plan.warnings:
+        say()
     for text in plan.warnings:
         say(f"warning: {text}")
 
@@ -206,62 +215,70 @@ def _times(size_mm: Any) -> str:
 
 
 def _room_lines(plan: Plan) -> list[str]:
-    room, limits = plan.room, plan.site.quality
-    positions = plan.campaign.positions_deg
-    travel, turn = _pair(room.target_travel_mm), _pair(room.rig_turn_mrad, 1)
-    eq5 = f"Eq. 5: {room.affine_error_px:.3f} px for {limits.expected_drift_mm:g} mm along the view"
+    room, positions = plan.room, plan.campaign.positions_deg
+    drift_mm = plan.site.quality.expected_drift_mm
+    turn = _pair(room.rig_turn_mrad, "mrad of pan", "mrad of tilt", 1)
+    eq5 = f"Eq. 5, error of the paper's model: {room.affine_error_px:.2g} px, 1 px at most,"
     lines = [
-        f"before the main target leaves its image it may move {travel} mm in x and y,",
-        f"  or the rig pan and tilt {turn} mrad; expected drift uses {room.drift_mm:.0f} mm of it",
-        f"the rig may shift {_pair(room.rig_shift_mm)} mm in x and y with half the corners in view",
-        f"{eq5}, must be below 1 px for --method paper",
+        f"room of the main target: {_pair(room.target_travel_mm)} before it leaves its image;",
+        f"  {room.drift_mm:.0f} mm of it for the expected drift of the rig, the rest the bridge's",
+        f"room of the rig: {turn} before the main target leaves;",
+        f"  {_pair(room.rig_shift_mm)} before half of the board has left",
+        f"{eq5} where the rig drifts {drift_mm:g} mm along the view",
     ]
     if positions:
-        pan, tilt = np.abs(np.array(positions)).max(axis=0)
+        reach = np.abs(np.array(positions)).max(axis=0)
         lines.append(
-            f"planned: {plan.campaign.lens_views} lens views, {len(positions)} head positions to "
-            f"{pan:.2f} deg of pan and {tilt:.2f} deg of tilt"
+            f"calibration: {plan.campaign.lens_views} lens views, {len(positions)} positions of "
+            f"the head within {_pair(reach, 'deg of pan', 'deg of tilt', 2)}"
         )
     return lines
 
 
-def _pair(values: Any, digits: int = 0) -> str:
-    return f"+-{values[0]:.{digits}f} and +-{values[1]:.{digits}f}"
+def _pair(values: Any, x: str = "mm in x", y: str = "mm in y", digits: int = 0) -> str:
+    return f"+-{values[0]:.{digits}f} {x} and +-{values[1]:.{digits}f} {y}"
 
 
 def _say_foreseen(plan: Plan, foreseen: Foreseen) -> None:
     limits = plan.site.quality
-    say("foreseen 1 sigma of a corrected displacement, mm")
-    still, drifted = foreseen.still_mm, foreseen.drifted_mm
-    rows = [
-        ("at the reference", f"x {still[0]:.4f}  y {still[1]:.4f}", ""),
-        ("anywhere within the drift", f"x {drifted[0]:.4f}  y {drifted[1]:.4f}", ""),
-        *(
-            (
-                f"{m.motion}, "
-                + (
-                    f"{limits.expected_drift_mrad:g} mrad"
-                    if m.motion.startswith("rotation")
-                    else f"{limits.expected_drift_mm:g} mm"
-                ),
-                f"{m.row_mm:.4f}",
-                f"{m.calibration_mm:.4f}",
-            )
-            for m in foreseen.motions
-        ),
+    amounts = {
+        "rotation": f"{limits.expected_drift_mrad:g} mrad",
+        "translation": f"{limits.expected_drift_mm:g} mm",
+    }
+    drift = f"within {' and '.join(amounts.values())}"
+    motions = [
+        (f"{m.motion}, {amounts[m.motion.split()[0]]}", m.row_mm, m.calibration_mm)
+        for m in foreseen.motions
     ]
-    print_table(("rig", "of a row", "calibration alone"), rows)
+    say(f"foreseen: 1 sigma of {foreseen.typical_mm:.2g} mm, for the rig anywhere {drift}")
     say()
-    say(f"what limits it: {foreseen.typical_mm:.4f} mm within the drift would be, without")
-    print_table(("cause", "1 sigma mm"), [(x.cause, f"{x.without_mm:.4f}") for x in plan.limits])
-    say()
-    now = f"instead of {foreseen.typical_mm:.4f} mm"
-    for better in plan.improvements:
-        say(f"better: {better.what}: {better.typical_mm:.4f} mm {now}")
-    if plan.further is not None:
-        say(plan.further)
+    rows = [
+        ("nowhere, as at the reference", f"{foreseen.still_mm.max():.4f}", ""),
+        (f"anywhere {drift}", f"{foreseen.typical_mm:.4f}", ""),
+        *((name, f"{row_mm:.4f}", f"{own_mm:.4f}") for name, row_mm, own_mm in motions),
+    ]
+    print_table(("rig moved", "1 sigma of a row, mm", "the calibration's part, mm"), rows)
+
+
+def _say_limits(plan: Plan, foreseen: Foreseen) -> None:
+    rows = []
+    for limit in plan.limits:
+        share = 1.0 - (limit.without_mm / foreseen.typical_mm) ** 2
+        if share >= _TOLD_SHARE:
+            rows.append((limit.cause, f"{limit.without_mm:.4f}", f"{100.0 * share:.0f} %"))
+    print_table(("what limits it", "1 sigma without, mm", "share of sigma squared"), rows)
+
+
+def _say_better(plan: Plan, foreseen: Foreseen) -> None:
     if not plan.improvements and plan.further is None:
         say("no single change would better it by a tenth")
+        return
+    if plan.improvements:
+        say(f"what would better it, from {foreseen.typical_mm:.4f} mm:")
+        rows = [(f"{x.typical_mm:.4f}", x.what) for x in plan.improvements]
+        print_table(("1 sigma then, mm", "change"), rows)
+    if plan.further is not None:
+        say(plan.further)
 
 
 def plan_fields(plan: Plan) -> dict[str, Any]:
