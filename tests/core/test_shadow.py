@@ -1,0 +1,64 @@
+"""A shadow's edge across the board: corners beside it count, those under it do no harm."""
+
+import numpy as np
+import pytest
+
+from core.corners import locate_board
+from core.frames import GreyImage
+from core.resection import BoardPose, resect
+from core.site import CheckerboardTarget
+from drivers.sim.geometry import TrueBoard
+from drivers.sim.render import CameraRenderer
+from tests.core.boards import AS_CORE, CAMERA, LENS, BoardScene
+
+SMALL = BoardScene(turn_deg=(8.0, -6.0, 4.0))
+LARGE = BoardScene(CheckerboardTarget(13, 12, 5.0, 52.0), turn_deg=(8.0, -6.0, 4.0))
+"""Squares of 20 and of 50 px; those from 24 px on are fitted with their flat parts."""
+SEEDS = 6
+
+
+def shadowed(scene: BoardScene, seed: int, depth: float, half_shadow_px: float) -> GreyImage:
+    """The scene with the light cut to 1 - depth beyond a line that crosses the image."""
+    rng = np.random.default_rng(seed)
+    renderer = CameraRenderer(CAMERA, LENS, scene.look, scene.sensor)
+    across, down = (
+        np.arange(n + 1) * scene.target.square_mm
+        for n in (scene.target.squares_x, scene.target.squares_y)
+    )
+    board = renderer.board(scene.pose, TrueBoard(across, down, 0.0), 0.75, 0.05)
+    lit = renderer.lit(board, 1.0)  # with a margin all round
+    angle = rng.uniform(0.0, np.pi)
+    v, u = np.mgrid[0 : lit.shape[0], 0 : lit.shape[1]]
+    middle = np.array([lit.shape[1], lit.shape[0]]) / 2.0 + rng.uniform(-60, 60, 2)
+    beyond = (u - middle[0]) * np.cos(angle) + (v - middle[1]) * np.sin(angle)
+    light = 1.0 - depth * np.clip(0.5 + beyond / (2.0 * half_shadow_px), 0.0, 1.0)
+    lit = lit * light
+    return GreyImage(renderer.expose(lit.astype(np.float32), 0.01, rng), scene.sensor.bits)
+
+
+def pose_in(scene: BoardScene, image: GreyImage) -> BoardPose:
+    nominal = scene.board.corners_mm
+    located = locate_board(image, AS_CORE, scene.board, nominal, scene.pose)
+    assert located.certain
+    assert len(located.view.index) > 0.75 * located.visible
+    return resect(AS_CORE, nominal, located.view, located.near)
+
+
+@pytest.mark.parametrize("scene", [SMALL, LARGE], ids=["small", "large"])
+@pytest.mark.parametrize("depth", [0.3, 0.6])
+@pytest.mark.parametrize("half_shadow_px", [0.5, 3.0, 12.0])
+def test_the_pose_stays_true_to_its_sigma(
+    scene: BoardScene, depth: float, half_shadow_px: float
+) -> None:
+    """In units of the pose's own sigma, and in mm of false displacement at 11 m."""
+    z, false_mm = [], []
+    for seed in range(SEEDS):
+        fit = pose_in(scene, shadowed(scene, seed, depth, half_shadow_px))
+        turn = fit.pose.compose(scene.pose.inverse()).rotation_rad
+        step = np.concatenate([turn, fit.pose.t_mm - scene.pose.t_mm])
+        z.append(step / np.sqrt(np.diag(fit.covariance)))
+        false_mm.append(11000.0 * np.hypot(turn[0], turn[1]))
+    plain = pose_in(scene, scene.image())
+    alone_mm = 11000.0 * np.sqrt(np.trace(plain.covariance[:2, :2]))
+    assert np.sqrt(np.mean(np.square(z))) < 1.4
+    assert np.sqrt(np.mean(np.square(false_mm))) < 1.6 * alone_mm
