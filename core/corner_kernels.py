@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from core.frames import PixelArray
-from core.pixel_fit import MIN_PIXELS, SETTLED_PX, compiled, solve_spd
+from core.pixel_fit import MIN_PIXELS, compiled, solve_spd
 from core.site import FloatArray
 
 CORNER_PARAMETERS = 9
@@ -25,6 +25,8 @@ so that the Cholesky factor of the normal matrix ends with the information on th
 BOX = 4
 """Side, px, of the boxes whose means stand for the flat parts of the squares."""
 _LANES = 16
+_SETTLED_PX = 0.01
+"""After such a step the next one would be a hundred times smaller."""
 _SCALARS = 25
 
 _ONE, _ZERO = np.float32(1.0), np.float32(0.0)
@@ -309,7 +311,7 @@ def fit_corners(
                 p[SHIFT] *= gain / p[GAIN]
                 p[SHIFT + 1] *= gain / p[GAIN]
             moved_px = abs(step[SHIFT]) + abs(step[SHIFT + 1])
-            if turn > 0 and moved_px < SETTLED_PX:
+            if turn > 0 and moved_px < _SETTLED_PX:
                 break
             p[BLUR] = min(max(p[BLUR], 0.35), 6.0)
             if abs(p[SHIFT]) + abs(p[SHIFT + 1]) > 0.5 * half[k]:

@@ -10,6 +10,7 @@ import numpy as np
 from core.errors import TargetNotFoundError
 from core.lens import Lens
 from core.pose import Pose, skew_matrix
+from core.pose_kernels import pose_normal, whiten_residuals
 from core.site import BoolArray, FloatArray, IntArray
 
 MIN_CORNERS = 8
@@ -150,17 +151,17 @@ def _resect(
     lens: Lens, points: FloatArray, view: BoardView, pose: Pose, settled: float
 ) -> BoardPose:
     whiten = view.whitening()
+    white, norm = np.empty_like(view.points_px), np.empty(len(points))
+    normal, right = np.empty((6, 6)), np.empty(6)
     for _ in range(12):
-        projected, by_pose, _, _ = pose_jacobian(lens, pose, points)
+        rotated = points @ pose.R.T
+        projected, by_point, _ = lens.project_jacobians(rotated + pose.t_mm)
         residual = view.points_px - projected
-        white = (whiten @ residual[:, :, None])[:, :, 0]
-        norm = np.hypot(white[:, 0], white[:, 1])
+        whiten_residuals(residual, whiten, white, norm)
         scale = robust_scale(norm)
         weights = robust_weights(norm / scale)
-        jacobian = (whiten @ by_pose) * np.sqrt(weights)[:, None, None]
-        flat = jacobian.reshape(-1, 6)
-        normal = flat.T @ flat
-        step = np.linalg.solve(normal, flat.T @ (white * np.sqrt(weights)[:, None]).ravel())
+        pose_normal(rotated, by_point, whiten, white, weights, normal, right)
+        step = np.linalg.solve(normal, right)
         pose = pose.perturbed(step)
         if float(np.abs(step).max()) < settled:
             break
