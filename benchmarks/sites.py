@@ -250,7 +250,7 @@ def calibrate_numbers(views: Views, site: Site) -> tuple[Setup, Fit]:
     """Calibrate from located points."""
     recipe = Recipe(site, Board.nominal(site.sub_target), Method.RIGID, skew=False)
     start, _ = start_from_views(views, recipe)
-    fit = fit_views(views, start, recipe)
+    fit = fit_views(views, start.lens, recipe)
     return setup_of(fit, recipe), fit
 
 

@@ -11,7 +11,7 @@ from core.calibration_report import CalibrationReport, write_report
 from core.dual import (
     Method,
     Recipe,
-    fit_views,
+    fit_chosen,
     setup_of,
     start_from_views,
     validate,
@@ -73,13 +73,12 @@ def calibrate(
     seen, rejected = look(views, site, recipe.board)
     start, misfits = start_from_views(seen, recipe)
     seen = seen.without({name for name, _ in misfits})
-    fit, bad = without_misfits(
-        fit_views(relocate(seen, start, recipe.board), start, recipe), recipe
-    )
+    fit, choice = fit_chosen(relocate(seen, start.lens, recipe.board), start, recipe)
+    fit, bad = without_misfits(fit, recipe)
     fit, moved = without_moved_targets(fit, recipe)
     setup = setup_of(fit, recipe)
     report = write_report(
-        fit, setup, recipe, [*rejected, *misfits, *bad, *moved], validate(fit, recipe)
+        fit, setup, recipe, choice, [*rejected, *misfits, *bad, *moved], validate(fit, recipe)
     )
     return Calibration(method, setup), report
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from core.compensation import affine_error_px
 from core.dual import MIN_LENS_VIEWS, Fit, Recipe, drawn_rig, main_misses_px, rig_prior
+from core.lens_choice import LensChoice
 from core.lens_coverage import lens_coverage
 from core.observability import (
     DriftError,
@@ -44,6 +45,7 @@ def write_report(
     fit: Fit,
     setup: Setup,
     recipe: Recipe,
+    choice: LensChoice,
     rejected: Sequence[Rejected],
     held_out: FloatArray,
 ) -> CalibrationReport:
@@ -53,6 +55,7 @@ def write_report(
     figures = _figures(fit, setup, recipe, drift, held_out)
     figures["rejected"] = [{"view": name, "reason": reason} for name, reason in rejected]
     figures["problems"] = problems
+    figures["lens_held_out_px"] = {m.value: px for m, px in choice.held_out_px.items()}
     views = fit.views
     lines = [
         "calibration passed" if not problems else "calibration NOT passed: " + "; ".join(problems),
@@ -65,6 +68,7 @@ def write_report(
             f"corners fit to {figures['sub_rms_px']:.4f} px rms, main discs to "
             f"{figures['main_rms_px']:.4f} px rms"
         ),
+        choice.sentence,
         model_sentence(setup.model),
         "expected error of a row after the drift expected (1 sigma, in brackets the calibration's "
         "part): "

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from core.adjustment import Adjusted, AdjustmentPriors, adjust
@@ -14,88 +13,29 @@ from core.corners import detect_board, refine_board
 from core.errors import CalibrationError, TargetNotFoundError
 from core.frames import GreyImage
 from core.lens import Lens, LensModel
+from core.lens_choice import LensChoice, choose_lens
 from core.lens_fit import wide_prior
-from core.lens_start import ImageSize
-from core.lens_start import start_lens as find_start
-from core.pose import Pose
+from core.lens_start import ImageSize, StartLens, start_lens
 from core.resection import BoardView, resect
 from core.site import CameraGeometry, FloatArray
 
-_CORNERS_A_VIEW = 250
-_MIN_VIEWS = 3
+_SQUARE = 1e-3
+"""Sensors' pixels are square to better than this, 1 sigma."""
 
 
-def lens_prior(camera: CameraGeometry, *, skew: bool = False) -> FloatArray:
-    """(10,) 1-sigma of the lens parameters about their start, wide for all but the skew."""
+def lens_prior(
+    camera: CameraGeometry, *, skew: bool = False, model: LensModel = LensModel.BROWN
+) -> FloatArray:
+    """(lens parameters,) 1-sigma about their start, wide for all but the skew."""
     focal, centre = 0.05 * camera.focal_px, 0.05 * camera.width_px
-    gamma = 0.005 * camera.focal_px if skew else 0.0
-    return np.array([focal, focal, gamma, centre, centre, 0.3, 0.3, 0.02, 0.02, 0.3])
+    sigmas = wide_prior(Lens.ideal(model, camera.focal_px, camera.centre_px), skew=skew)
+    sigmas[[0, 1, 3, 4]] = focal, focal, centre, centre
+    return sigmas
 
 
 def nominal_lens(camera: CameraGeometry) -> Lens:
     """Give the lens as drawn: no distortion, the principal point in the middle."""
     return Lens.ideal(LensModel.BROWN, camera.focal_px, camera.centre_px)
-
-
-@dataclass(frozen=True, slots=True)
-class StartLens:
-    """A lens good enough to start an adjustment from."""
-
-    lens: Lens
-    rejected: tuple[int, ...]
-    """Views that do not fit the others."""
-
-
-def start_lens(views: Sequence[BoardView], board: Board, camera: CameraGeometry) -> StartLens:
-    """Zhang's method on views of the nominal board, from the nominal lens.
-
-    The worst view is left out, one after another, as long as it fits more than five times worse
-    than the median of the others and by more than half a pixel.
-    Raises CalibrationError with fewer than three views left.
-    """
-    kept = list(range(len(views)))
-    while len(kept) >= _MIN_VIEWS:
-        lens, errors = _zhang([views[k] for k in kept], board, camera)
-        worst = int(np.argmax(errors))
-        others = float(np.median(np.delete(errors, worst)))
-        if errors[worst] < max(0.5, 5.0 * others):
-            rejected = tuple(sorted(set(range(len(views))) - set(kept)))
-            return StartLens(lens, rejected)
-        del kept[worst]
-    msg = (
-        f"lens: {len(views)} views of the board given, fewer than {_MIN_VIEWS} fit together; "
-        "take new ones, the board still and sharp, tilted to 25 degrees"
-    )
-    raise CalibrationError(msg)
-
-
-def _zhang(
-    views: Sequence[BoardView], board: Board, camera: CameraGeometry
-) -> tuple[Lens, FloatArray]:
-    """OpenCV's implementation; also each view's rms error, px."""
-    objects, images = [], []
-    for view in views:
-        some = slice(None, None, max(1, len(view.index) // _CORNERS_A_VIEW))
-        objects.append(np.ascontiguousarray(board.corners_mm[view.index[some]], dtype=np.float32))
-        images.append(np.ascontiguousarray(view.points_px[some], dtype=np.float32))
-    size = (camera.width_px, camera.height_px)
-    start = nominal_lens(camera).matrix
-    _, matrix, distortion, rotations, translations = cv2.calibrateCamera(
-        objects, images, size, start, np.zeros(5), flags=cv2.CALIB_USE_INTRINSIC_GUESS
-    )
-    lens = Lens(
-        np.array(
-            [matrix[0, 0], matrix[1, 1], 0.0, matrix[0, 2], matrix[1, 2], *distortion.ravel()[:5]]
-        )
-    )
-    errors = []
-    for points, pixels, rotation, translation in zip(
-        objects, images, rotations, translations, strict=True
-    ):
-        pose = Pose.from_vectors(np.ravel(rotation), np.ravel(translation))
-        miss = lens.project(pose.apply(points.astype(float))) - pixels
-        errors.append(float(np.sqrt((miss**2).sum(axis=1).mean())))
-    return lens, np.array(errors)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +48,8 @@ class LensCalibration:
     """Which of the views were used, in the order of `adjusted.poses`."""
     rejected: tuple[tuple[int, str], ...]
     """Which were not, and why."""
+    choice: LensChoice
+    """How the distortion's model was chosen."""
 
 
 def calibrate_lens(
@@ -115,12 +57,14 @@ def calibrate_lens(
     board: Board,
     camera: CameraGeometry | None = None,
     *,
+    model: LensModel | None = None,
     skew: bool = False,
 ) -> LensCalibration:
     """Calibrate a lens from images of a board, the board's own shape estimated with it.
 
-    Nothing need be known of the lens; it may be a fisheye. Views without the board, or that do
-    not fit the others, are rejected with their reason. Raises CalibrationError.
+    Nothing need be known of the lens; it may be a fisheye. Without a model the one that foretells
+    held-out views best is taken (core.lens_choice). Views without the board, or that do not fit
+    the others, are rejected with their reason. Raises CalibrationError.
     """
     found: list[tuple[int, BoardView]] = []
     rejected: list[tuple[int, str]] = []
@@ -134,7 +78,7 @@ def calibrate_lens(
         raise CalibrationError(msg)
     height, width = images[found[0][0]].pixels.shape
     focal_px = None if camera is None else camera.focal_px
-    start = find_start([view for _, view in found], board, (width, height), focal_px)
+    start = start_lens([view for _, view in found], board, (width, height), focal_px, model)
     misfits = dict(start.rejected)
     rejected += [(found[v][0], reason) for v, reason in misfits.items()]
     used = [k for v, (k, _) in enumerate(found) if v not in misfits]
@@ -143,7 +87,8 @@ def calibrate_lens(
         if v not in misfits:
             pose = resect(start.lens, board.corners_mm, view).pose
             views.append(refine_board(images[k], start.lens, pose, board, board.corners_mm).view)
-    return _adjusted(views, used, rejected, board, start.lens, skew=skew)
+    adjusted, choice = _adjusted(views, board, start, model, skew=skew)
+    return LensCalibration(adjusted.lens, adjusted, tuple(used), tuple(sorted(rejected)), choice)
 
 
 def calibrate_lens_from_corners(
@@ -152,6 +97,7 @@ def calibrate_lens_from_corners(
     size: ImageSize,
     *,
     sigma_px: float = 0.05,
+    model: LensModel | None = None,
     skew: bool = False,
 ) -> LensCalibration:
     """Calibrate a lens from corners found by any other program, e.g. OpenCV's finder.
@@ -164,11 +110,11 @@ def calibrate_lens_from_corners(
     views = [
         _given(np.asarray(c, dtype=float), k, board, sigma_px) for k, c in enumerate(corners_px)
     ]
-    start = find_start(views, board, size)
+    start = start_lens(views, board, size, model=model)
     misfits = dict(start.rejected)
-    used = [k for k in range(len(views)) if k not in misfits]
-    kept = [views[k] for k in used]
-    return _adjusted(kept, used, list(start.rejected), board, start.lens, skew=skew)
+    used = tuple(k for k in range(len(views)) if k not in misfits)
+    adjusted, choice = _adjusted([views[k] for k in used], board, start, model, skew=skew)
+    return LensCalibration(adjusted.lens, adjusted, used, start.rejected, choice)
 
 
 def _given(corners_px: FloatArray, k: int, board: Board, sigma_px: float) -> BoardView:
@@ -187,19 +133,29 @@ def _given(corners_px: FloatArray, k: int, board: Board, sigma_px: float) -> Boa
 
 def _adjusted(
     views: Sequence[BoardView],
-    used: Sequence[int],
-    rejected: Sequence[tuple[int, str]],
     board: Board,
-    start: Lens,
+    start: StartLens,
+    model: LensModel | None,
     *,
     skew: bool,
-) -> LensCalibration:
-    """Lens, poses and board together; paper boards are as uneven as they are large."""
+) -> tuple[Adjusted, LensChoice]:
+    """Lens, poses and board together, again if another model than the start's is chosen."""
+    adjusted = _jointly(views, board, start.lens, skew=skew)
+    lenses = [adjusted.lens] if start.other is None else [adjusted.lens, start.other]
+    choice = choose_lens(lenses, adjusted.corners_mm, views, adjusted.poses, model)
+    if choice.lens.model is not adjusted.lens.model:
+        adjusted = _jointly(views, board, choice.lens, skew=skew)
+    return adjusted, choice
+
+
+def _jointly(views: Sequence[BoardView], board: Board, lens: Lens, *, skew: bool) -> Adjusted:
+    """Paper boards are as uneven as they are large; sensors have square pixels."""
     half_mm = 0.5 * float(np.ptp(board.corners_mm, axis=0).max())
-    bow = (4e-3 * half_mm, 1.2e-3 * half_mm, 1.2e-3 * half_mm)
     priors = AdjustmentPriors(
-        lens=wide_prior(start, skew=skew), bow_mm=bow, corner_mm=5e-3 * board.square_mm
+        lens=wide_prior(lens, skew=skew),
+        square=_SQUARE,
+        bow_mm=(4e-3 * half_mm, 1.2e-3 * half_mm, 1.2e-3 * half_mm),
+        corner_mm=5e-3 * board.square_mm,
     )
-    poses = [resect(start, board.corners_mm, view).pose for view in views]
-    adjusted = adjust(board, views, start, poses, priors)
-    return LensCalibration(adjusted.lens, adjusted, tuple(used), tuple(sorted(rejected)))
+    poses = [resect(lens, board.corners_mm, view).pose for view in views]
+    return adjust(board, views, lens, poses, priors)

@@ -50,19 +50,23 @@ class StartLens:
 
 
 def start_lens(
-    views: Sequence[BoardView], board: Board, size: ImageSize, focal_px: float | None = None
+    views: Sequence[BoardView],
+    board: Board,
+    size: ImageSize,
+    focal_px: float | None = None,
+    model: LensModel | None = None,
 ) -> StartLens:
     """Find a lens and the views that agree on it, a third or more of which may be wrong.
 
-    focal_px is the nominal focal length where one is known. Raises CalibrationError if fewer
-    than three views agree.
+    focal_px is the nominal focal length where one is known, model the lens's, likewise. Raises
+    CalibrationError if fewer than three views agree.
     """
     if len(views) < MIN_VIEWS:
         raise CalibrationError(_too_few(len(views), len(views)))
     thin = [thinned(view, _CORNERS_A_VIEW) for view in views]
     few = [thinned(view, _CORNERS_A_TRIAL) for view in thin]
     kinds = []
-    for trials in _trials(size, focal_px):
+    for trials in _trials(size, focal_px, model):
         tried = [_tried(lens, board, few) for lens in trials]
         first = min(tried, key=lambda t: float(np.median(t.off_px)))
         if np.median(first.off_px) < _NO_FIT_PX:
@@ -73,7 +77,8 @@ def start_lens(
     limit_px = max(_FLOOR_PX, _WORSE * min(kind.typical_px for kind in kinds))
     best, *others = sorted(kinds, key=lambda kind: kind.demerit(limit_px))
     near = [k.lens for k in others if k.comes_near(best)]
-    return StartLens(best.lens, _reasons(best, board, thin), near[0] if near else None)
+    lens = best.lens if model is None else as_model(best.lens, model)
+    return StartLens(lens, _reasons(best, board, thin), near[0] if near else None)
 
 
 def _too_few(given: int, fit: int) -> str:
@@ -83,8 +88,8 @@ def _too_few(given: int, fit: int) -> str:
     )
 
 
-def _trials(size: ImageSize, focal_px: float | None) -> list[list[Lens]]:
-    """Lenses to try: tangent lenses, then fisheyes."""
+def _trials(size: ImageSize, focal_px: float | None, wanted: LensModel | None) -> list[list[Lens]]:
+    """Lenses to try: tangent lenses, then fisheyes, or only those of the kind wanted."""
     width, height = size
     centre = np.array([0.5 * (width - 1), 0.5 * (height - 1)])
     known = None if focal_px is None else [focal_px]
@@ -94,6 +99,7 @@ def _trials(size: ImageSize, focal_px: float | None) -> list[list[Lens]]:
             (LensModel.RADIAL, _TANGENT_FOCAL),
             (LensModel.FISHEYE, _FISHEYE_FOCAL),
         )
+        if wanted is None or (wanted is LensModel.FISHEYE) == (model is LensModel.FISHEYE)
     ]
 
 

@@ -6,6 +6,7 @@ that a step solves a dense system of a few hundred unknowns.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -27,6 +28,8 @@ class AdjustmentPriors:
 
     lens: FloatArray
     """(lens parameters,) about the start values, in the lens's units."""
+    square: float = math.inf
+    """Of alpha / beta about 1, relative: how square the pixels are taken to be."""
     scale: float = 1.0e-3
     """Print scale in x and y, and shear."""
     bow_mm: tuple[float, float, float] = (0.1, 0.03, 0.03)
@@ -172,7 +175,7 @@ class Problem:
         main_views: Sequence[MainView | None],
     ) -> None:
         self.board, self.terms, self.views, self.start = board, terms, views, start
-        self.main_views = main_views
+        self.main_views, self.square = main_views, priors.square
         self.whitening = [view.whitening() for view in views]
         self.layout = _Layout(start.lens.size, terms.shape[2], len(priors.discs_px), len(views))
         layout = self.layout
@@ -294,6 +297,7 @@ class Problem:
         columns = self.board.columns
         sigma[layout.lines][:columns] = spreads.column_mm
         sigma[layout.lines][columns:] = spreads.row_mm
+        self._add_square_pixels(system, state.lens)
         # The corners' residuals are weighted by their predicted size; priors are in true units.
         weight = np.where(sigma > 0, system.scale**2 / np.maximum(sigma, 1e-12) ** 2, 0.0)
         system.dense[np.diag_indices(layout.size)] += weight
@@ -307,6 +311,12 @@ class Problem:
         corner_sigma = max(spreads.corner_mm, 1e-9)
         system.corner += np.eye(2) * (system.scale / corner_sigma) ** 2
         system.corner_right -= state.offsets_mm * (system.scale / corner_sigma) ** 2
+
+    def _add_square_pixels(self, system: System, lens: Lens) -> None:
+        alpha, beta = lens.parameters[:2]
+        slope = np.array([1.0, -1.0]) / beta * system.scale / self.square
+        system.dense[:2, :2] += np.outer(slope, slope)
+        system.right[:2] -= slope * (alpha / beta - 1.0) * system.scale / self.square
 
     def line_variance(self, system: System) -> FloatArray:
         """(columns + rows,) mm^2, of the lines' places."""

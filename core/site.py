@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from core.lens import LensModel
 
 FloatArray = NDArray[np.floating[Any]]
 IntArray = NDArray[np.int64]
@@ -92,6 +95,8 @@ class Site:
     sub_target: CheckerboardTarget
     rig: RigPrior
     quality: QualityLimits
+    lens_model: LensModel | None = None
+    """Of the sub-camera; None: the one that foretells held-out views best."""
 
     @property
     def nominal_px_per_mm(self) -> float:

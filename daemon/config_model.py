@@ -256,6 +256,7 @@ class Config(Section):
             sub_target=self.target.sub.target(),
             rig=self.rig.prior(),
             quality=self.quality.limits(),
+            lens_model=self.camera.sub.model(),
         )
 
     def burst_plan(self) -> BurstPlan:

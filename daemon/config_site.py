@@ -20,6 +20,7 @@ from pydantic import (
     ValidationInfo,
 )
 
+from core.lens import LensModel
 from core.site import CameraGeometry, CheckerboardTarget, CirclesTarget, QualityLimits, RigPrior
 from drivers.protocols import PixelFormat, Role
 
@@ -76,11 +77,21 @@ class CameraSection(Section):
         )
 
 
+class SubCameraSection(CameraSection):
+    """`[camera.sub]`, whose lens is calibrated."""
+
+    lens_model: Literal["auto", "radial", "brown", "rational", "fisheye"] = "auto"
+
+    def model(self) -> LensModel | None:
+        """Convert to the core's type."""
+        return None if self.lens_model == "auto" else LensModel(self.lens_model)
+
+
 class CamerasSection(Section):
     """`[camera]`."""
 
     main: CameraSection
-    sub: CameraSection
+    sub: SubCameraSection
 
     def of(self, role: Role) -> CameraSection:
         """Give one camera's table."""
