@@ -13,6 +13,8 @@ from core.site import BoolArray, FloatArray
 _NARROW_PX, _NARROW_BLURS = 2.0, 3.0
 """Beyond this, plus so many blur widths, a pixel tells no more than the grey on either side."""
 _COARSE_SHARE, _COARSE_PX = 0.35, (3.0, 8.0)
+_LARGE_SHARE = 0.2
+"""A large disc was found in an image of a fraction of the size, its outline as roughly."""
 _COARSE_PIXELS = 600
 _NEARLY_PX = 0.05
 _TURNS = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
@@ -51,8 +53,9 @@ def locate_discs(
     n = len(points)
     state = _start(pixels, points, outline_px)
     information, figures = np.zeros((n, 2, 2)), np.zeros((n, 5))
-    wide = np.clip(_COARSE_SHARE * np.trace(outline_px, axis1=1, axis2=2) / 2.0, *_COARSE_PX)
-    every = np.maximum(1, (6.3 * np.trace(outline_px, axis1=1, axis2=2) * wide / _COARSE_PIXELS))
+    radius = np.trace(outline_px, axis1=1, axis2=2) / 2.0
+    wide = np.maximum(np.clip(_COARSE_SHARE * radius, *_COARSE_PX), _LARGE_SHARE * radius)
+    every = np.maximum(1, 12.6 * radius * wide / _COARSE_PIXELS)
     every = every.astype(np.int64)
     limits = np.array([saturation_dn, 0.0, _NEARLY_PX])
     fit_discs(pixels, points, wide, every, limits, 10, state, information, figures)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -47,6 +48,24 @@ def test_named_in_order_at_any_roll_to_40_degrees(target, roll_deg) -> None:
     discs = _find(scene)
     _assert_right(scene, discs)
     assert discs.clean.min() > 0.97
+
+
+@pytest.mark.parametrize("diameter_px", [160, 200, 250, 400])
+def test_discs_of_hundreds_of_pixels_are_found(diameter_px) -> None:
+    """Their outlines, first seen in a much smaller image, are some pixels off to start with."""
+    scale = diameter_px / 8.0
+    middle = scale * np.array([24.0, 20.0]) + [0.3, 0.2]
+    centres_px = middle + scale * CENTRES_MM * [1.0, -1.0]
+    v, u = np.mgrid[: round(scale * 40.0), : round(scale * 48.0)].astype(np.float32)
+    grey = np.full(u.shape, 30.0, dtype=np.float32)
+    for x, y in centres_px:
+        grey += 180.0 * np.clip(0.5 * diameter_px - np.hypot(u - x, v - y) + 0.5, 0.0, 1.0)
+    blurred = cv2.GaussianBlur(grey, (0, 0), 0.8)
+    blurred += np.random.default_rng(1).normal(size=u.shape)
+    image = GreyImage(np.rint(blurred).astype(np.uint8))
+    discs = find_discs(image, TargetScene().target, scale)
+    assert discs.found.all()
+    assert np.abs(discs.points_px - centres_px).max() < 0.02
 
 
 @pytest.mark.parametrize("tilt_deg", [(20.0, 0.0), (0.0, -20.0), (12.0, 12.0)])
