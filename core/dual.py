@@ -121,7 +121,7 @@ def fit_chosen(views: Views, start: StartLens, recipe: Recipe) -> tuple[Fit, Len
     own = [k for k, view in enumerate(views.all) if view.name in among]
     lens = fit.adjusted.lens
     choice = choose_lens(
-        [lens] if start.other is None else [lens, start.other],
+        lens,
         fit.adjusted.corners_mm,
         [views.all[k].board.view for k in own],
         [fit.adjusted.poses[k] for k in own],

@@ -15,7 +15,7 @@ from core.frames import GreyImage
 from core.lens import Lens, LensModel
 from core.lens_choice import LensChoice, choose_lens
 from core.lens_fit import wide_prior
-from core.lens_start import ImageSize, StartLens, start_lens
+from core.lens_start import ImageSize, start_lens
 from core.resection import BoardView, resect
 from core.site import CameraGeometry, FloatArray
 
@@ -87,7 +87,7 @@ def calibrate_lens(
         if v not in misfits:
             pose = resect(start.lens, board.corners_mm, view).pose
             views.append(refine_board(images[k], start.lens, pose, board, board.corners_mm).view)
-    adjusted, choice = _adjusted(views, board, start, model, skew=skew)
+    adjusted, choice = _adjusted(views, board, start.lens, model, skew=skew)
     return LensCalibration(adjusted.lens, adjusted, tuple(used), tuple(sorted(rejected)), choice)
 
 
@@ -113,7 +113,7 @@ def calibrate_lens_from_corners(
     start = start_lens(views, board, size, model=model)
     misfits = dict(start.rejected)
     used = tuple(k for k in range(len(views)) if k not in misfits)
-    adjusted, choice = _adjusted([views[k] for k in used], board, start, model, skew=skew)
+    adjusted, choice = _adjusted([views[k] for k in used], board, start.lens, model, skew=skew)
     return LensCalibration(adjusted.lens, adjusted, used, start.rejected, choice)
 
 
@@ -134,15 +134,14 @@ def _given(corners_px: FloatArray, k: int, board: Board, sigma_px: float) -> Boa
 def _adjusted(
     views: Sequence[BoardView],
     board: Board,
-    start: StartLens,
+    start: Lens,
     model: LensModel | None,
     *,
     skew: bool,
 ) -> tuple[Adjusted, LensChoice]:
     """Lens, poses and board together, again if another model than the start's is chosen."""
-    adjusted = _jointly(views, board, start.lens, skew=skew)
-    lenses = [adjusted.lens] if start.other is None else [adjusted.lens, start.other]
-    choice = choose_lens(lenses, adjusted.corners_mm, views, adjusted.poses, model)
+    adjusted = _jointly(views, board, start, skew=skew)
+    choice = choose_lens(adjusted.lens, adjusted.corners_mm, views, adjusted.poses, model)
     if choice.lens.model is not adjusted.lens.model:
         adjusted = _jointly(views, board, choice.lens, skew=skew)
     return adjusted, choice

@@ -29,7 +29,7 @@ _WORSE = 5.0
 _FLOOR_PX = 0.5
 _ROUNDS = 6
 _NO_FIT_PX = 1e6
-_CLEARLY, _NEARLY = 0.9, 2.0
+_CLEARLY = 0.9
 _TANGENT_FOCAL = np.geomspace(0.3, 8.0, 12)
 _FISHEYE_FOCAL = np.geomspace(0.15, 1.2, 8)
 """Focal lengths tried, in image widths."""
@@ -45,8 +45,6 @@ class StartLens:
     lens: Lens
     rejected: tuple[tuple[int, str], ...]
     """Views that do not belong to the others, with the reason."""
-    other: Lens | None = None
-    """A lens of the other kind (through a tangent, fisheye) that fits nearly as well."""
 
 
 def start_lens(
@@ -75,10 +73,9 @@ def start_lens(
     if not kinds:
         raise CalibrationError(_too_few(len(views), 0))
     limit_px = max(_FLOOR_PX, _WORSE * min(kind.typical_px for kind in kinds))
-    best, *others = sorted(kinds, key=lambda kind: kind.demerit(limit_px))
-    near = [k.lens for k in others if k.comes_near(best)]
+    best = min(kinds, key=lambda kind: kind.demerit(limit_px))
     lens = best.lens if model is None else as_model(best.lens, model)
-    return StartLens(lens, _reasons(best, board, thin), near[0] if near else None)
+    return StartLens(lens, _reasons(best, board, thin))
 
 
 def _too_few(given: int, fit: int) -> str:
@@ -182,10 +179,6 @@ class _Agreed:
         """The kind that more views fit is the right one; of equals the tangent, if as good."""
         handicap = 1.0 if self.lens.model is LensModel.FISHEYE else _CLEARLY
         return -int((self.seen.off_px <= limit_px).sum()), handicap * self.typical_px
-
-    def comes_near(self, best: _Agreed) -> bool:
-        """Whether this kind of lens is worth a closer comparison."""
-        return self.kept == best.kept and self.typical_px < _NEARLY * best.typical_px
 
 
 def _agree(seen: _Seen, board: Board, views: Sequence[BoardView]) -> _Agreed:

@@ -49,7 +49,9 @@ def judge_lens(frames: FrameSet, site: Site, on_step: Callable[[str], None]) -> 
             images.append(image)
             rows.append(row)
         on_step(f"read {format_slot(row.slot_utc)}")
-    calibration = calibrate_lens(images, Board.nominal(site.sub_target), site.sub)
+    calibration = calibrate_lens(
+        images, Board.nominal(site.sub_target), site.sub, model=site.lens_model
+    )
     on_step("calibrated")
     left_out += [f"{rows[k].sub}: {reason}" for k, reason in calibration.rejected]
     return _verdict(calibration, site, left_out)
@@ -77,7 +79,7 @@ def _verdict(calibration: LensCalibration, site: Site, left_out: list[str]) -> L
         f"{views}, {covered.covered:.0%} of the image covered",
         *(f"left out {reason}" for reason in left_out),
         f"focal length {focal}, 1 sigma {focal_sigma:.3%}; principal point ({mu:.1f}, {nu:.1f}) px",
-        f"distortion: {lens.model}; corners fit to {rms_px:.4f} px rms",
+        f"{calibration.choice.sentence}; corners fit to {rms_px:.4f} px rms",
     )
     fields = {
         "enough": not problems,
@@ -86,6 +88,7 @@ def _verdict(calibration: LensCalibration, site: Site, left_out: list[str]) -> L
         "left_out": left_out,
         "covered": covered.covered,
         "lens_model": lens.model.value,
+        "lens_held_out_px": {m.value: px for m, px in calibration.choice.held_out_px.items()},
         "lens": dict(zip(lens.model.parameters, lens.parameters.tolist(), strict=True)),
         "lens_sigma": sigmas.tolist(),
         "sub_rms_px": rms_px,
