@@ -83,7 +83,7 @@ def board_sheet(target: CheckerboardTarget, site_name: str, version: str) -> She
         f"checkerboard, {target.squares_x} x {target.squares_y} squares of {square:g} mm",
         f"{width:g} x {height:g} mm, read from {target.distance_mm:g} mm",
         "The corner marked WS is top left in the sub image, its square is black. x right, y down.",
-        "Upside down or in mirror image it looks much the same: WS must be legible, and top left.",
+        "Upside down or mirrored it looks much the same: keep the WS mark, legible and top left.",
         f"Leave {quiet:g} mm of white all around.",
         "Mount: matt, flat, glued all over on glass or aluminium, not on foam or card; no gloss.",
         *_print_notes(),

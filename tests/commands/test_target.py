@@ -171,7 +171,7 @@ def test_a_sheet_names_its_site_its_drawing_and_how_to_mount_it(ctl: Ctl, tmp_pa
             assert words in page.text
     assert "32 x 31 squares of 2 mm" in pages["target-sub"].text
     assert "top left in the sub image" in pages["target-sub"].text
-    assert "mirror image" in pages["target-sub"].text
+    assert "mirrored" in pages["target-sub"].text
     assert "8 mm" in pages["target-main"].text
     assert "(-15, 11)" in pages["target-main"].text
     assert "UP" in pages["target-main"].text
