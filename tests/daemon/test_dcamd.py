@@ -303,11 +303,11 @@ def test_config_mistake_is_one_line_and_exit_3(site: Site, text: str, complaint:
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [
-        ('backend = "simulated"\n', "", "camera.main.backend: not set; use aravis or simulated"),
+        ('backend = "simulated"\n', "", "camera.main.backend: not set; use aravis or"),
         (
             'backend = "simulated"\n',
             'backend = "harvesters"\n',
-            "camera.main.backend: harvesters is not in this version",
+            "camera.sub.backend: simulated, but the main camera's is harvesters",
         ),
         (
             'backend = "simulated"\n',
