@@ -29,7 +29,7 @@ from core.site import Site
 from daemon.calibration.positions import Limits, planned_positions
 from daemon.commands.options import Options, common_options, json_option, pass_options
 from daemon.commands.output import print_json, print_table, say
-from daemon.errors import ExitCode
+from daemon.errors import ExitCode, WorkFailedError
 
 LENS_VIEWS = 12
 HEAD_LIMITS = Limits(pan_deg=180.0, tilt_deg=90.0)
@@ -46,11 +46,13 @@ class Plan:
     campaign: Campaign
     room: Room
     foreseen: Foreseen | None
-    """None where the plan cannot be calibrated; the warnings say why."""
+    """None where the plan cannot be calibrated."""
     limits: tuple[Limit, ...]
     improvements: tuple[Improvement, ...]
     further: str | None
     warnings: tuple[str, ...]
+    failure: str | None = None
+    """Why it cannot be calibrated."""
 
 
 @click.command("plan", epilog="\b\nExample:\n  dcam-ctl --config dcam.toml plan --lens-views 20")
@@ -103,8 +105,9 @@ def command(
     """Say what this site will see and how well it will measure; needs no images.
 
     Scales, fields of view, room to move, Eq. 5; the 1-sigma of a corrected displacement by a
-    planned pan-tilt calibration, what limits it, what would better it. The calibration itself is
-    run, on views projected from the drawing. Exit code 1 where the plan cannot be calibrated.
+    planned pan-tilt calibration, what limits it, what would better it. The calibration's own
+    equations tell it, for views projected from the drawing. Exit code 1 where such a site cannot
+    be calibrated.
     """
     quality = ImageQuality(contrast_dn=contrast_dn, noise_dn=noise_dn, blur_px=blur_px)
     plan = make_plan(options.config.site(), quality, lens_views, reach_deg)
@@ -112,7 +115,10 @@ def command(
         print_json({"command": "plan", **plan_fields(plan)})
     else:
         say_plan(plan)
-    return ExitCode.FAILED if plan.foreseen is None else ExitCode.DONE
+    if plan.failure is not None:
+        msg = f"plan: this site cannot be calibrated: {plan.failure}"
+        raise WorkFailedError(msg)
+    return ExitCode.DONE
 
 
 def make_plan(
@@ -131,8 +137,8 @@ def make_plan(
         setup = calibrate_drawing(drawing, campaign)
         rows = drift_rows(drawing, setup)
     except CoreError as error:
-        warnings = (*warnings_of(drawing, campaign, room), str(error))
-        return Plan(site, campaign, room, None, (), (), None, warnings)
+        warnings = tuple(warnings_of(drawing, campaign, room))
+        return Plan(site, campaign, room, None, (), (), None, warnings, str(error))
     foreseen = foresee(rows, setup.posterior)
     warnings = (*warnings_of(drawing, campaign, room), *_sigma_warnings(foreseen, site))
     return Plan(
@@ -302,6 +308,7 @@ def plan_fields(plan: Plan) -> dict[str, Any]:
         "improvements": [asdict(improvement) for improvement in plan.improvements],
         "further_motion": plan.further,
         "warnings": list(plan.warnings),
+        "failure": plan.failure,
     }
 
 

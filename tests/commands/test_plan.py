@@ -53,6 +53,7 @@ def test_json_tells_scales_room_and_sigma(ctl: Ctl, tmp_path: Path) -> None:
     assert told["affine_error_px"] == pytest.approx(1.5 / 11000.0 * 15.0 * scale, rel=0.01)
     assert told["corners"] == 15 * 13
     assert told["warnings"] == []
+    assert told["failure"] is None
     foreseen = told["foreseen"]
     assert foreseen["typical_mm"] == max(foreseen["drifted_mm"])
     assert foreseen["worst_mm"] == max(motion["row_mm"] for motion in foreseen["motions"])
@@ -155,11 +156,13 @@ def test_a_site_that_cannot_be_calibrated_is_exit_1_with_the_cause(
     assert ran.code == 1
     told = json.loads(ran.out)
     assert told["foreseen"] is None
-    assert any(words in text for text in told["warnings"])
+    assert words in told["failure"]
     assert told["main_px_per_mm"] > 0.0
     ran = plan(ctl, tmp_path, config)
     assert ran.code == 1
-    assert "warning: " in ran.out
+    assert "field of view" in ran.out
+    (error,) = ran.err.splitlines()
+    assert told["failure"] in error
 
 
 def test_a_head_that_only_pans_is_exit_1_and_names_the_missing_motion(
@@ -167,7 +170,7 @@ def test_a_head_that_only_pans_is_exit_1_and_names_the_missing_motion(
 ) -> None:
     ran = plan(ctl, tmp_path, SITE, "--reach-deg", "0.2", "0")
     assert ran.code == 1
-    assert "missing motion: tilt" in ran.out
+    assert "missing motion: tilt" in ran.err
 
 
 def test_a_missing_config_is_exit_3(ctl: Ctl, tmp_path: Path) -> None:
