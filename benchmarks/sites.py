@@ -23,7 +23,8 @@ from core.calibration import CalibrationView, Method, ViewRole, calibrate
 from core.compensation import corrected_displacement
 from core.corners import LocatedBoard
 from core.discs import Discs
-from core.dual import Fit, Recipe, fit_views, setup_of, start_from_views
+from core.dual import Fit, Recipe, fit_views, setup_of
+from core.dual_lens import start_from_views
 from core.frames import GreyImage
 from core.measurement import measure_pair
 from core.resection import BoardView, resect

@@ -11,13 +11,12 @@ from core.calibration_report import CalibrationReport, write_report
 from core.dual import (
     Method,
     Recipe,
-    fit_chosen,
     setup_of,
-    start_from_views,
     validate,
     without_misfits,
     without_moved_targets,
 )
+from core.dual_lens import fit_chosen, start_from_views
 from core.errors import CalibrationError
 from core.setup import Setup
 from core.site import Site

@@ -16,8 +16,6 @@ from core.discs import Discs
 from core.errors import CalibrationError
 from core.intrinsics import lens_prior
 from core.lens import Lens
-from core.lens_choice import LensChoice, choose_lens
-from core.lens_start import StartLens, start_lens
 from core.observability import drift_motions, require_motion
 from core.paper import PaperModel, fit_paper
 from core.pose import Pose
@@ -27,7 +25,7 @@ from core.resection import resect
 from core.rig import MainView, Rig
 from core.setup import Levels, Setup
 from core.site import FloatArray, Site
-from core.views import LensView, Rejected, Views
+from core.views import Rejected, Views
 
 _SCALE_SIGMA = 2e-3
 """Relative: the target may be tilted, and printed to a part in a thousand."""
@@ -81,55 +79,6 @@ class Fit:
         """`T_CSj_CS1` of the rig views, Eq. 12."""
         poses = self.adjusted.poses[1 : 1 + len(self.views.rig)]
         return [pose.compose(self.reference_pose.inverse()) for pose in poses]
-
-
-def start_from_views(views: Views, recipe: Recipe) -> tuple[StartLens, list[Rejected]]:
-    """A lens to start from, and the lens views that do not fit.
-
-    Without three lens views the rig views must do; they determine the focal length poorly.
-    """
-    among, camera = _views_of_lens(views), recipe.site.sub
-    start = start_lens(
-        [v.board.view for v in among],
-        recipe.board,
-        (camera.width_px, camera.height_px),
-        camera.focal_px,
-        recipe.site.lens_model,
-    )
-    reasons = dict(start.rejected)
-    if 0 in reasons:
-        msg = (
-            "calibration: the reference view does not fit the lens views; is it the same lens? "
-            f"({reasons[0]})"
-        )
-        raise CalibrationError(msg)
-    return start, [(among[v].name, reason) for v, reason in reasons.items()]
-
-
-def _views_of_lens(views: Views) -> list[LensView]:
-    chosen = views.lens if len(views.lens) >= MIN_LENS_VIEWS else views.rig
-    return [views.reference, *chosen]
-
-
-def fit_chosen(views: Views, start: StartLens, recipe: Recipe) -> tuple[Fit, LensChoice]:
-    """Fit with the lens model that foretells held-out views best, on the board as first fitted.
-
-    Rig views are near the reference: they would tell of one part of the image, many times.
-    """
-    fit = fit_views(views, start.lens, recipe)
-    among = {view.name for view in _views_of_lens(views)}
-    own = [k for k, view in enumerate(views.all) if view.name in among]
-    lens = fit.adjusted.lens
-    choice = choose_lens(
-        lens,
-        fit.adjusted.corners_mm,
-        [views.all[k].board.view for k in own],
-        [fit.adjusted.poses[k] for k in own],
-        recipe.site.lens_model,
-    )
-    if choice.lens.model is not lens.model:
-        fit = fit_views(views, choice.lens, recipe)
-    return fit, choice
 
 
 def fit_views(views: Views, start: Lens, recipe: Recipe) -> Fit:

@@ -140,11 +140,17 @@ def _adjusted(
     skew: bool,
 ) -> tuple[Adjusted, LensChoice]:
     """Lens, poses and board together, again if another model than the start's is chosen."""
-    adjusted = _jointly(views, board, start, skew=skew)
-    choice = choose_lens(adjusted.lens, adjusted.corners_mm, views, adjusted.poses, model)
-    if choice.lens.model is not adjusted.lens.model:
-        adjusted = _jointly(views, board, choice.lens, skew=skew)
-    return adjusted, choice
+
+    def fit(lens: Lens) -> tuple[Adjusted, LensChoice]:
+        adjusted = _jointly(views, board, lens, skew=skew)
+        given = adjusted.lens, adjusted.corners_mm, views, adjusted.poses, model
+        return adjusted, choose_lens(*given)
+
+    adjusted, choice = fit(start)
+    if choice.lens.model is adjusted.lens.model:
+        return adjusted, choice
+    adjusted, again = fit(choice.lens)  # the board is another now, too
+    return adjusted, again if again.lens.model is adjusted.lens.model else choice
 
 
 def _jointly(views: Sequence[BoardView], board: Board, lens: Lens, *, skew: bool) -> Adjusted:

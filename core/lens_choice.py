@@ -29,7 +29,7 @@ _FOLDS = 5
 _CORNERS_A_VIEW = 120
 _OUTLIER = 6.0
 _NOISE = 2.0
-_WIDE_RAD, _WIDEST_TANGENT_RAD = 0.7, 1.1
+_WIDE_RAD, _WIDEST_TANGENT_RAD = 0.7, 1.3
 """Seen further off the axis a lens may be a fisheye; further than the second it is one."""
 _TANGENT = (LensModel.RADIAL, LensModel.BROWN, LensModel.RATIONAL)
 

@@ -30,7 +30,7 @@ every_lens = pytest.mark.parametrize("name", list(LENSES))
 every_seed = pytest.mark.parametrize("seed", [1, 2, 6])
 
 
-def _true_views(lens: Lens, rng: np.random.Generator, count: int = 15) -> list[FloatArray]:
+def true_views(lens: Lens, rng: np.random.Generator, count: int = 15) -> list[FloatArray]:
     """Corners (6, 9, 2) of boards all over the image, tilted to 40 degrees."""
     views: list[FloatArray] = []
     middle = BOARD.corners_mm.mean(axis=0)
@@ -52,8 +52,11 @@ def _true_views(lens: Lens, rng: np.random.Generator, count: int = 15) -> list[F
     return views
 
 
-def _noisy(views: list[FloatArray], rng: np.random.Generator) -> list[FloatArray]:
-    return [view + rng.normal(0.0, 0.1, view.shape) for view in views]
+def noisy(
+    views: list[FloatArray], rng: np.random.Generator, sigma_px: float = 0.1
+) -> list[FloatArray]:
+    """The same corners as a finder with noise gives them."""
+    return [view + rng.normal(0.0, sigma_px, view.shape) for view in views]
 
 
 def _spoilt(views: list[FloatArray]) -> list[FloatArray]:
@@ -72,8 +75,8 @@ def _spoilt(views: list[FloatArray]) -> list[FloatArray]:
 def test_wrong_views_are_rejected_and_no_others(name: str, seed: int) -> None:
     """The lens comes out as it does from the ten right views, each wrong one with its reason."""
     lens, rng = LENSES[name], np.random.default_rng(seed)
-    true = _true_views(lens, rng)
-    found = calibrate_lens_from_corners(_spoilt(_noisy(true, rng)), BOARD, SIZE)
+    true = true_views(lens, rng)
+    found = calibrate_lens_from_corners(_spoilt(noisy(true, rng)), BOARD, SIZE)
     reasons = dict(found.rejected)
     assert set(reasons) == {1, 4, 6, 9, 12}
     assert "8 of its 54 corners are not where the board has them" in reasons[1]
@@ -92,7 +95,7 @@ def test_wrong_views_are_rejected_and_no_others(name: str, seed: int) -> None:
 @every_lens
 def test_right_views_are_all_kept(name: str) -> None:
     rng = np.random.default_rng(2)
-    views = _noisy(_true_views(LENSES[name], rng), rng)
+    views = noisy(true_views(LENSES[name], rng), rng)
     found = calibrate_lens_from_corners(views, BOARD, SIZE)
     assert found.rejected == ()
     assert found.used == tuple(range(15))
@@ -101,7 +104,7 @@ def test_right_views_are_all_kept(name: str) -> None:
 def test_two_views_are_refused() -> None:
     rng = np.random.default_rng(3)
     with pytest.raises(CalibrationError, match=r"lens: 2 views of the board given.*3 are needed"):
-        calibrate_lens_from_corners(_true_views(LENSES["tangent"], rng, 2), BOARD, SIZE)
+        calibrate_lens_from_corners(true_views(LENSES["tangent"], rng, 2), BOARD, SIZE)
 
 
 def test_corners_of_another_board_are_refused() -> None:
