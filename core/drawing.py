@@ -12,8 +12,7 @@ from core.corners import LocatedBoard
 from core.discs import Discs
 from core.dual import drawn_rig
 from core.frames import GreyImage
-from core.intrinsics import nominal_lens
-from core.lens import Lens
+from core.lens import Lens, LensModel
 from core.pose import Pose
 from core.resection import BoardView
 from core.rig import Rig
@@ -91,8 +90,9 @@ class Drawing:
 
     @property
     def lens(self) -> Lens:
-        """The sub-camera's lens as drawn."""
-        return nominal_lens(self.site.sub)
+        """The sub-camera's lens as drawn: of the config's kind, free of distortion."""
+        sub, model = self.site.sub, self.site.lens_model or LensModel.BROWN
+        return Lens.ideal(model, sub.focal_px, sub.centre_px)
 
     @property
     def board(self) -> Board:

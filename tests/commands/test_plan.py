@@ -31,7 +31,7 @@ def planned(ctl: Ctl, tmp_path: Path, config: str = SITE, *options: object) -> d
     return json.loads(ran.out)
 
 
-def without(config: str, *changes: tuple[str, str]) -> str:
+def changed(config: str, *changes: tuple[str, str]) -> str:
     """The config with something else in it."""
     for old, new in changes:
         assert old in config
@@ -71,10 +71,10 @@ def test_what_is_said_to_better_it_does(ctl: Ctl, tmp_path: Path) -> None:
     now = planned(ctl, tmp_path)
     (larger,) = [x for x in now["improvements"] if "larger board" in x["what"]]
     assert "23 x 20 squares" in larger["what"]
-    changed = without(
+    larger_site = changed(
         SITE, ("squares_x = 16", "squares_x = 23"), ("squares_y = 14", "squares_y = 20")
     )
-    then = planned(ctl, tmp_path, changed)
+    then = planned(ctl, tmp_path, larger_site)
     assert then["foreseen"]["typical_mm"] == pytest.approx(larger["typical_mm"])
     assert then["foreseen"]["typical_mm"] < 0.9 * now["foreseen"]["typical_mm"]
 
@@ -86,6 +86,14 @@ def test_noisier_images_and_a_shorter_reach_are_worse(ctl: Ctl, tmp_path: Path) 
     short = planned(ctl, tmp_path, SITE, "--reach-deg", "0.03", "0.03")
     assert np.abs(short["positions_deg"]).max() == pytest.approx(0.03)
     assert short["foreseen"]["worst_mm"] > 1.02 * usual["worst_mm"]
+
+
+def test_the_kind_of_lens_counts(ctl: Ctl, tmp_path: Path) -> None:
+    """A fisheye shows the edge of the board in fewer pixels than another of its focal length."""
+    usual = planned(ctl, tmp_path)["foreseen"]
+    lens = ("focal_length_mm = 6.0", 'focal_length_mm = 6.0\nlens_model = "fisheye"')
+    fisheye = planned(ctl, tmp_path, changed(SITE, lens))["foreseen"]
+    assert 1.02 < fisheye["typical_mm"] / usual["typical_mm"] < 2.0
 
 
 def test_text_says_sigma_causes_and_changes(ctl: Ctl, tmp_path: Path) -> None:
@@ -118,7 +126,7 @@ def test_what_is_too_small_or_too_large_is_warned_of(
     if "[rig]" in change[1]:  # sections may not be split: the limit comes last
         config = SITE + change[1].partition("[rig]")[0]
     else:
-        config = without(SITE, change)
+        config = changed(SITE, change)
     ran = plan(ctl, tmp_path, config)
     assert ran.code == 0
     (warning,) = [line for line in ran.out.splitlines() if words in line]
@@ -151,7 +159,7 @@ def test_a_site_that_cannot_be_calibrated_is_exit_1_with_the_cause(
     ctl: Ctl, tmp_path: Path, changes: list[tuple[str, str]], words: str
 ) -> None:
     """Scales and room are told all the same."""
-    config = without(SITE + "\n[quality]\n", *changes)
+    config = changed(SITE + "\n[quality]\n", *changes)
     ran = plan(ctl, tmp_path, config, "--json")
     assert ran.code == 1
     told = json.loads(ran.out)
