@@ -92,7 +92,7 @@ def calibrate_lens(
 
 
 def calibrate_lens_from_corners(
-    corners_px: Sequence[FloatArray],
+    corners_px: Sequence[FloatArray | None],
     board: Board,
     size: ImageSize,
     *,
@@ -103,13 +103,11 @@ def calibrate_lens_from_corners(
     """Calibrate a lens from corners found by any other program, e.g. OpenCV's finder.
 
     corners_px holds one array a view, (rows * columns, 2) or (rows * columns, 1, 2), row by row
-    as in `Board`; NaN where a corner was not found. size is the image's width and height, px.
-    Views whose corners are not the board's (a row shifted, mirrored, on other things) are
-    rejected with their reason. Raises CalibrationError.
+    as in `Board`; NaN where a corner was not found, None for a view without any. size is the
+    image's width and height, px. Views whose corners are not the board's (a row shifted,
+    mirrored, on other things) are rejected with their reason. Raises CalibrationError.
     """
-    views = [
-        _given(np.asarray(c, dtype=float), k, board, sigma_px) for k, c in enumerate(corners_px)
-    ]
+    views = [_given(corners, k, board, sigma_px) for k, corners in enumerate(corners_px)]
     start = start_lens(views, board, size, model=model)
     misfits = dict(start.rejected)
     used = tuple(k for k in range(len(views)) if k not in misfits)
@@ -117,15 +115,16 @@ def calibrate_lens_from_corners(
     return LensCalibration(adjusted.lens, adjusted, used, start.rejected, choice)
 
 
-def _given(corners_px: FloatArray, k: int, board: Board, sigma_px: float) -> BoardView:
+def _given(corners_px: FloatArray | None, k: int, board: Board, sigma_px: float) -> BoardView:
     count = board.columns * board.rows
-    if corners_px.size != 2 * count:
+    given = np.full((count, 2), np.nan) if corners_px is None else np.asarray(corners_px, float)
+    if given.size != 2 * count:
         msg = (
-            f"lens: view {k} has corners of shape {corners_px.shape}, the board has "
+            f"lens: view {k} has corners of shape {given.shape}, the board has "
             f"{board.columns}x{board.rows}; give all, NaN where one was not found"
         )
         raise CalibrationError(msg)
-    points = corners_px.reshape(count, 2)
+    points = given.reshape(count, 2)
     index = np.nonzero(np.isfinite(points).all(axis=1))[0]
     covariance = np.tile(sigma_px**2 * np.eye(2), (len(index), 1, 1))
     return BoardView(index, points[index], covariance)

@@ -17,7 +17,7 @@ from core.errors import CalibrationError, TargetNotFoundError
 from core.lens import Lens, LensModel
 from core.lens_fit import as_model, fit_lens, wide_prior
 from core.pose import Pose
-from core.resection import BoardView, pose_of_rays, resect
+from core.resection import MIN_CORNERS, BoardView, pose_of_rays, resect
 from core.site import FloatArray
 
 MIN_VIEWS = 3
@@ -102,7 +102,8 @@ def _trials(size: ImageSize, focal_px: float | None, wanted: LensModel | None) -
 
 def thinned(view: BoardView, corners: int) -> BoardView:
     """About so many corners of a view, spread over it, all trusted alike."""
-    keep = np.unique(np.linspace(0, len(view.index) - 1, corners).astype(int))
+    count = len(view.index)
+    keep = np.unique(np.linspace(0, count - 1, min(count, corners)).astype(int))
     even = np.broadcast_to(_SIGMA_PX**2 * np.eye(2), (len(keep), 2, 2))
     return BoardView(view.index[keep], view.points_px[keep], even)
 
@@ -128,11 +129,12 @@ def _tried(lens: Lens, board: Board, views: Sequence[BoardView]) -> _Seen:
     for v, (view, own) in enumerate(zip(views, np.split(rays, ends), strict=True)):
         points = board.corners_mm[view.index]
         try:
-            pose = pose_of_rays(own, points)
+            pose = pose_of_rays(own, points) if len(points) >= MIN_CORNERS else None
         except TargetNotFoundError:
-            poses.append(None)
-            continue
+            pose = None
         poses.append(pose)
+        if pose is None:
+            continue
         miss = np.hypot(*(view.points_px - lens.project(pose.apply(points))).T)
         off[v] = np.median(miss) if np.isfinite(miss).all() else _NO_FIT_PX
     return _Seen(lens, tuple(poses), off, off)
@@ -148,10 +150,10 @@ def _pose(
             again = resect(lens, board.corners_mm, view)
             found = min(found, again, key=lambda each: each.plain_rms_px)
     except TargetNotFoundError:
-        return None, np.full(len(view.index), _NO_FIT_PX)
+        return None, np.full(max(len(view.index), 1), _NO_FIT_PX)
     off = np.hypot(*found.residuals_px.T)
     if not np.isfinite(off).all():
-        return None, np.full(len(view.index), _NO_FIT_PX)
+        return None, np.full(max(len(view.index), 1), _NO_FIT_PX)
     return found.pose, off
 
 
@@ -258,6 +260,8 @@ def _from_the_front(pose: Pose) -> bool:
 
 
 def _misfit_words(view: BoardView, off: FloatArray, pose: Pose | None, typical_px: float) -> str:
+    if len(view.index) < MIN_CORNERS:
+        return f"{len(view.index)} corners of the board, {MIN_CORNERS} are needed"
     if pose is None:
         return f"its {len(view.index)} corners fit no view of the board"
     wrong = int((off > max(1.0, _WORSE * typical_px)).sum())

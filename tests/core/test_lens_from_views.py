@@ -101,6 +101,21 @@ def test_right_views_are_all_kept(name: str) -> None:
     assert found.used == tuple(range(15))
 
 
+def test_views_of_a_few_corners_or_none_are_left_out() -> None:
+    """A finder that finds nothing gives None; corners that are NaN were not found."""
+    rng = np.random.default_rng(2)
+    views = noisy(true_views(LENSES["tangent"], rng, 8), rng)
+    views[4][2:] = np.nan
+    views[5].reshape(-1, 2)[:7] = np.nan
+    views[6][:, :, 0] = np.nan
+    found = calibrate_lens_from_corners([*views, None], BOARD, SIZE)
+    missing = "0 corners of the board, 8 are needed"
+    assert dict(found.rejected) == {6: missing, 8: missing}
+    views[4][1:] = np.nan  # one row: on a line
+    found = calibrate_lens_from_corners(views, BOARD, SIZE)
+    assert {k for k, _ in found.rejected} == {4, 6}
+
+
 def test_two_views_are_refused() -> None:
     rng = np.random.default_rng(3)
     with pytest.raises(CalibrationError, match=r"lens: 2 views of the board given.*3 are needed"):
