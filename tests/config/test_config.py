@@ -82,6 +82,22 @@ def test_minimal_site_becomes_the_core_s_site(write) -> None:
     assert site.quality.max_skew_ms == 20.0
 
 
+def test_the_lens_model_is_chosen_unless_told(write) -> None:
+    assert load_config(write()).site().lens_model is None
+    told = ("focal_length_mm = 6.0", 'focal_length_mm = 6.0\nlens_model = "fisheye"')
+    assert load_config(write(told)).site().lens_model == "fisheye"
+
+
+def test_a_lens_model_is_the_sub_camera_s_and_known(write) -> None:
+    wrong = ("focal_length_mm = 6.0", 'focal_length_mm = 6.0\nlens_model = "thin"')
+    (problem,) = problems_of(write(wrong))
+    assert problem.startswith("camera.sub.lens_model: ")
+    assert "'fisheye'" in problem
+    main = ("focal_length_mm = 800.0", 'focal_length_mm = 800.0\nlens_model = "brown"')
+    (problem,) = problems_of(write(main))
+    assert problem.startswith("camera.main.lens_model: unknown key")
+
+
 def test_whole_numbers_may_be_written_without_a_point(write) -> None:
     assert load_config(write(("distance_mm = 11000.0", "distance_mm = 11000"))).site()
 

@@ -15,6 +15,7 @@ import pytest
 from core.calibration import Calibration, Method, ViewRole, calibrate
 from core.errors import CalibrationError, NotObservableError
 from core.frames import GreyImage
+from core.lens import LensModel
 from core.measurement import measure_pair
 from core.results import Flag
 from core.rig import Rig
@@ -265,6 +266,31 @@ def test_skew_is_found_to_be_none(quick: Session) -> None:
     gamma_px = calibration.setup.lens.parameters[2]
     assert 0.0 < abs(gamma_px) < 0.2
     assert abs(gamma_px) < 4.0 * report.figures["lens_sigma"][2]
+
+
+def test_the_lens_model_is_chosen_and_said(lab: Session) -> None:
+    """The simulated lens is Brown's: less foretells held-out views far worse, more no better."""
+    off_px = lab.report.figures["lens_held_out_px"]
+    assert lab.calibration.setup.lens.model is LensModel.BROWN
+    assert off_px["radial"] > 2.0 * off_px["brown"]
+    assert off_px["rational"] == pytest.approx(off_px["brown"], rel=0.1)
+    start = "distortion: brown, chosen on held-out views (radial "
+    assert sum(line.startswith(start) for line in lab.report.lines) == 1
+
+
+@pytest.mark.parametrize(("model", "near_mm"), [("rational", 0.03), ("fisheye", 0.5)])
+def test_a_site_may_name_its_lens_model(quick: Session, model: str, near_mm: float) -> None:
+    """Rows by such a calibration, stored and read again, are what they are by the other's."""
+    site = replace(quick.site, lens_model=LensModel(model))
+    calibration, report = calibrate(quick.views, site)
+    assert f"distortion: {model}, as configured" in report.lines
+    read = Calibration.from_dict(json.loads(json.dumps(calibration.to_dict())))
+    assert read.setup.lens.model is LensModel(model)
+    pair = quick.pair(quick.world.settings.start_utc + 100 * MINUTE)
+    row, usual = measure_pair(*pair, site, read), measure_pair(*pair, site, quick.calibration)
+    assert row.corrected is not None
+    assert usual.corrected is not None
+    assert row.corrected.mm == pytest.approx(usual.corrected.mm, abs=near_mm)
 
 
 # ------------------------------------------------------------------ views that cannot be used
