@@ -29,6 +29,8 @@ _ROUGHLY = 1e-6
 _LEAST_SQUARE_PX = 9.0
 """Squares that are larger than this in a smaller image are found in it."""
 _MOST = 0.9
+_BLIND_PX, _BLIND_SHRUNK_PX = 12.0, 9.0
+"""So near to the edge of an image, and in px of a smaller one, no corner is found."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +86,11 @@ def locate_board(
         if len(candidates) == 1:
             return located
         tried.append((resect(lens, corners_mm, located.view, pose).plain_rms_px, located))
+    nearest = tried[0][1]
     tried.sort(key=lambda attempt: attempt[0])
     if tried[1][0] > _CLEARLY_BETTER * tried[0][0]:
         return replace(tried[0][1], certain=True)
-    return tried[0][1]
+    return nearest
 
 
 def _rough_pose(lens: Lens, corners_mm: FloatArray, named: NamedLattice, expected: Pose) -> Pose:
@@ -139,7 +142,10 @@ def _lattice(image: GreyImage, square_px: float = 0.0, wanted: int = 0) -> Latti
         try:
             saddles = find_saddles(_shrunk(image, factor))
             points = factor * saddles.points_px + 0.5 * (factor - 1)
-            lattice = without_strays(join(replace(saddles, points_px=points)), width, height)
+            found = join(
+                replace(saddles, points_px=points), max(_BLIND_PX, _BLIND_SHRUNK_PX * factor)
+            )
+            lattice = without_strays(found, width, height)
         except TargetNotFoundError as error:
             trouble = error
             continue

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,6 +15,7 @@ from core.site import BoolArray, FloatArray, IntArray
 
 _NEIGHBOURS = 13
 _MIN_CORNERS = 12
+_BLIND_PX = 12.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,9 +28,11 @@ class Lattice:
     """(n, 2)."""
     polarity: FloatArray
     """(n,) +1 where the square up and left of the corner is black."""
+    blind_px: float = _BLIND_PX
+    """Corners nearer than this to the edge of the image were not looked for."""
 
 
-def join(saddles: Saddles) -> Lattice:
+def join(saddles: Saddles, blind_px: float = _BLIND_PX) -> Lattice:
     """Join saddles into the largest lattice. Raises TargetNotFoundError."""
     if len(saddles.points_px) < _MIN_CORNERS:
         msg = f"no checkerboard: only {len(saddles.points_px)} corner candidates in the image"
@@ -39,7 +42,7 @@ def join(saddles: Saddles) -> Lattice:
     if len(index) < _MIN_CORNERS:
         msg = f"no checkerboard: the largest lattice in the image has {len(index)} corners"
         raise TargetNotFoundError(msg)
-    return _upright(index, labels, saddles, arms)
+    return replace(_upright(index, labels, saddles, arms), blind_px=blind_px)
 
 
 def _links(saddles: Saddles) -> tuple[FloatArray, IntArray]:
@@ -153,7 +156,7 @@ def _turned(lattice: Lattice, quarter: int) -> Lattice:
     for _ in range(quarter):
         ij = np.stack([ij[:, 1], -ij[:, 0]], axis=1)
         polarity = -polarity  # the sector up and left is now one of the other colour
-    return Lattice(ij - ij.min(axis=0), lattice.points_px, polarity)
+    return replace(lattice, ij=ij - ij.min(axis=0), polarity=polarity)
 
 
 def _places(lattice: Lattice, board: Board) -> list[tuple[int, int]]:
@@ -214,7 +217,7 @@ def _borders(lattice: Lattice, width_px: int, height_px: int) -> BoolArray:
             beyond = beyond[np.isfinite(beyond).all(axis=1)]
             if len(beyond) < 3:
                 continue
-            margin = 12.0
+            margin = lattice.blind_px
             inside = (
                 (beyond > margin).all(axis=1)
                 & (beyond[:, 0] < width_px - 1 - margin)

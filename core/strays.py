@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from core.lattice import Lattice, grid_of
 from core.site import FloatArray
 
 _SHARE = 0.4
-_MARGIN_PX = 8.0
+_SPARE_PX = 4.0
+"""A line that would be this near to where corners are not looked for any more counts as seen."""
 
 
 def without_strays(lattice: Lattice, width_px: int, height_px: int) -> Lattice:
@@ -25,7 +28,12 @@ def without_strays(lattice: Lattice, width_px: int, height_px: int) -> Lattice:
         if keep.all():
             return lattice
         ij = lattice.ij[keep]
-        lattice = Lattice(ij - ij.min(axis=0), lattice.points_px[keep], lattice.polarity[keep])
+        lattice = replace(
+            lattice,
+            ij=ij - ij.min(axis=0),
+            points_px=lattice.points_px[keep],
+            polarity=lattice.polarity[keep],
+        )
 
 
 def _full_lines(lattice: Lattice, axis: int, width_px: int, height_px: int) -> tuple[int, int]:
@@ -34,20 +42,23 @@ def _full_lines(lattice: Lattice, axis: int, width_px: int, height_px: int) -> t
     lines = grid if axis == 1 else grid.transpose(1, 0, 2)
     count = np.isfinite(lines[:, :, 0]).sum(axis=1)
     fullest = int(np.argmax(count))
+    margin_px = lattice.blind_px - _SPARE_PX
     ends = []
     for step in (-1, 1):
         at = fullest
         while 0 <= at + step < len(lines):
             behind = at - step
             there = 2.0 * lines[at] - lines[behind] if 0 <= behind < len(lines) else lines[at]
-            if count[at + step] < _SHARE * _inside(there, width_px, height_px):
+            if count[at + step] < _SHARE * _inside(
+                there, width_px, height_px, lattice.blind_px - _SPARE_PX
+            ):
                 break
             at += step
         ends.append(at)
     return ends[0], ends[1]
 
 
-def _inside(points_px: FloatArray, width_px: int, height_px: int) -> int:
+def _inside(points_px: FloatArray, width_px: int, height_px: int, margin_px: float) -> int:
     """How many points are well inside the image; NaN are not."""
-    size = np.array([width_px, height_px]) - 1 - _MARGIN_PX
-    return int(((points_px > _MARGIN_PX) & (points_px < size)).all(axis=1).sum())
+    size = np.array([width_px, height_px]) - 1 - margin_px
+    return int(((points_px > margin_px) & (points_px < size)).all(axis=1).sum())

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from core import corners
 from core.corners import LocatedBoard, detect_board, locate_board, refine_board
 from core.errors import TargetNotFoundError
 from core.frames import GreyImage
@@ -220,6 +221,25 @@ def test_a_prediction_beside_the_image_says_so() -> None:
     scene = BoardScene()
     with pytest.raises(TargetNotFoundError, match="predicted pose"):
         refine_board(scene.image(), AS_CORE, away, scene.board, scene.board.corners_mm)
+
+
+@pytest.mark.parametrize("shift_mm", np.arange(0.0, 5.0, 0.5))
+def test_a_line_near_the_edge_of_the_image_is_not_taken_for_the_last(
+    shift_mm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Squares of 50 px, found in an image of a quarter of the size, blind for corners at its edge.
+
+    Whichever line is just inside, the corners are named rightly and without a doubt.
+    """
+    monkeypatch.setattr(corners, "_MOST", 0.0)  # large images have most corners off the edge
+    wide = BoardScene(CheckerboardTarget(17, 16, 5.0, 52.0), turn_deg=(2.0, -1.5, 1.0))
+    scene = wide.moved(shift_mm, 0.6 * shift_mm)
+    nominal = scene.board.corners_mm
+    near = scene.moved(0.3, -0.4).pose
+    seen = locate_board(scene.image(), AS_CORE, scene.board, nominal, near)
+    assert seen.certain
+    off_px = np.hypot(*(seen.view.points_px - scene.corners_px[seen.view.index]).T)
+    assert off_px.max() < 0.3
 
 
 # ------------------------------------------------------------------ how well
