@@ -49,9 +49,7 @@ def _full_lines(lattice: Lattice, axis: int, width_px: int, height_px: int) -> t
         while 0 <= at + step < len(lines):
             behind = at - step
             there = 2.0 * lines[at] - lines[behind] if 0 <= behind < len(lines) else lines[at]
-            if count[at + step] < _SHARE * _inside(
-                there, width_px, height_px, lattice.blind_px - _SPARE_PX
-            ):
+            if count[at + step] < _SHARE * _inside(there, width_px, height_px, margin_px):
                 break
             at += step
         ends.append(at)
