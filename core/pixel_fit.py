@@ -102,28 +102,6 @@ def edge(distance: float, blur: float) -> tuple[float, float, float]:
 
 
 @compiled
-def sum_up(
-    rows: FloatArray,
-    miss: FloatArray,
-    weight: FloatArray,
-    count: int,
-    normal: FloatArray,
-    right: FloatArray,
-) -> None:
-    """Weighted normal equations (lower half) of `count` pixels, one dot product an element."""
-    for a in range(len(right)):
-        total = 0.0
-        for i in range(count):
-            total += weight[i] * rows[a, i] * miss[i]
-        right[a] = total
-        for b in range(a + 1):
-            total = 0.0
-            for i in range(count):
-                total += weight[i] * rows[a, i] * rows[b, i]
-            normal[a, b] = total
-
-
-@compiled
 def advance(
     normal: FloatArray, right: FloatArray, factor: FloatArray, p: FloatArray
 ) -> tuple[bool, float, float]:

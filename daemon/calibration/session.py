@@ -68,8 +68,6 @@ class Plan(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     config_hash: str
-    lens_views: int
-    """Rows of the frame set that come before the reference."""
     positions: tuple[Position, ...]
     state: Literal["taking", "taken"]
 
@@ -206,7 +204,7 @@ def _begin(
         raise CalibrationError("before calibrating: " + "; ".join(sight.problems))
     positions = tuple(planned_positions(rig.site, sight.discs, rig.limits))
     directory = new_directory(state / FOLDER / f"{first_utc:%Y%m%dT%H%M%SZ}")
-    plan = Plan(config_hash=config_hash, lens_views=0, positions=positions, state="taking")
+    plan = Plan(config_hash=config_hash, positions=positions, state="taking")
     session = Session(directory, plan, [])
     session.note(plan)
     if lens_views is not None:
@@ -220,7 +218,6 @@ def _begin(
             if seen.problems:
                 on_trouble(f"lens view {number + 1}: {'; '.join(seen.problems)}")
         rig.hold_board(None)
-    session.note(session.plan.model_copy(update={"lens_views": len(session.rows)}))
     on_step("zero")
     slot_utc, seen = settled_sight(rig.source, rig.clock, rig.site)
     if seen.problems:
