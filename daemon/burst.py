@@ -33,6 +33,8 @@ class Shot:
     """From 1, in the order in which they were taken."""
     pair: CapturedPair
     captured_utc: datetime
+    captured_s: float
+    """On the clock's monotonic time."""
 
 
 def take_burst(
@@ -51,7 +53,7 @@ def take_burst(
         if turn and clock.monotonic_s() - began_s > plan.limit_s:
             _log.warning("burst_cut_short", slot=slot_text(slot_utc), pairs=len(shots))
             break
-        before_utc = clock.now_utc()
+        before_utc, before_s = clock.now_utc(), clock.monotonic_s()
         try:
             pair = source.capture(slot_utc)
         except Exception as error:  # noqa: BLE001 - what was taken before is a slot all the same
@@ -61,16 +63,11 @@ def take_burst(
             if isinstance(error, DeviceLostError) or not isinstance(error, DriverError):
                 break
             continue
-        shots.append(Shot(len(shots) + 1, pair, max(before_utc, _captured_utc(clock, pair))))
+        # A replayed pair was triggered at no time of this clock; its capture's beginning counts.
+        captured_s = max(before_s, pair.main.trigger_monotonic_s)
+        ago_s = clock.monotonic_s() - captured_s
+        captured_utc = max(before_utc, clock.now_utc() - timedelta(seconds=ago_s))
+        shots.append(Shot(len(shots) + 1, pair, captured_utc, captured_s))
     if not shots and failed is not None:
         raise failed
     return shots
-
-
-def _captured_utc(clock: Clock, pair: CapturedPair) -> datetime:
-    """When the main camera was triggered: cameras do not know the time of day.
-
-    A replayed pair was triggered at no time of this clock; its capture's beginning counts.
-    """
-    ago_s = clock.monotonic_s() - pair.main.trigger_monotonic_s
-    return clock.now_utc() - timedelta(seconds=ago_s)

@@ -33,6 +33,8 @@ EXTRA_COLUMNS = tuple(
 )
 """What `export` adds, in the order of the database."""
 
+_SLOTS = {"slot_utc", "redated_from_utc"}
+
 
 def write_results(
     results: Iterable[tuple[datetime, Measurement]], output: TextIO, *, bursts: bool = False
@@ -111,5 +113,5 @@ def _cell(name: str, value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, datetime):
-        return slot_text(value) if name == "slot_utc" else instant_text(value)
+        return slot_text(value) if name in _SLOTS else instant_text(value)
     return repr(value) if isinstance(value, float) else str(value)

@@ -5,7 +5,6 @@ Nothing here asks a camera or the daemon, so that looking never disturbs a slot.
 
 from __future__ import annotations
 
-import ctypes
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from pathlib import Path
 from core.results import Flag
 from daemon.config import Config
 from daemon.lock import LOCK_NAME
+from daemon.machine import clock_is_synchronised
 from daemon.measuring import active_calibration
 from daemon.sequence import stored_continuity
 from daemon.store.database import Store
@@ -31,9 +31,6 @@ from daemon.store.records import (
 DAY = timedelta(days=1)
 MONTH = timedelta(days=30)
 CAMERA_CAUSES = frozenset({GapCause.CAMERA_LOST, GapCause.CAPTURE_FAILED})
-
-_TIME_ERROR = 5
-"""What adjtimex(2) answers as long as nothing disciplines the clock."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,16 +152,6 @@ def dcamd_runs(state: Path) -> bool | None:
     except OSError:
         return None
     return any(f":{inode} " in line and "FLOCK" in line for line in locks.splitlines())
-
-
-def clock_is_synchronised() -> bool | None:
-    """Ask the kernel whether something (NTP, PTP) disciplines the clock; None: it does not say."""
-    try:
-        # A zeroed struct timex only reads; 512 bytes are more than it has on any platform.
-        answer = ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(512))
-    except (OSError, AttributeError):
-        return None
-    return None if answer < 0 else answer != _TIME_ERROR
 
 
 def _coverage(

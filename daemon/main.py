@@ -18,12 +18,14 @@ from daemon.config import Installation
 from daemon.control import control_socket
 from daemon.devices import open_clock, open_pair_source, require_backend
 from daemon.errors import run
+from daemon.health import has_stepped_clock
 from daemon.lock import sole_writer
 from daemon.log import configure_log
+from daemon.machine import simulated_machine, this_machine
 from daemon.notify import Notifier
 from daemon.pause import Pause
 from daemon.pipeline import Pipeline
-from daemon.recovery import mark_stop, read_boot_id, recover
+from daemon.recovery import mark_stop, recover
 from daemon.runner import SlotRunner
 from daemon.store.database import Store, open_store
 from daemon.store.frames import FrameArchive
@@ -85,12 +87,20 @@ def _run(
     accounted = store.accounted()
     clock = open_clock(config, accounted[1] if accounted else None)
     archive = FrameArchive(installation.state_directory)
-    line = Pipeline(config.site(), config.config_hash(), store, archive, clock, config.burst_plan())
+    line = Pipeline(
+        config.site(),
+        config.config_hash(),
+        store,
+        archive,
+        clock,
+        config.burst_plan(),
+        machine=simulated_machine(clock) if has_stepped_clock(config) else this_machine(),
+    )
     schedule = config.schedule.schedule()
     with ExitStack() as opened:
         source = opened.enter_context(closing(open_pair_source(config, clock)))
         notifier.status("recovering")
-        last_utc = recover(line, schedule, read_boot_id())
+        last_utc = recover(line, schedule)
         store.add_event(clock.now_utc(), "started", f"version {VERSION}")
         _log.info("started", site=config.name, version=VERSION, state=str(archive.state))
         pause = Pause(source.close)

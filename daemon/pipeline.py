@@ -15,6 +15,7 @@ import structlog
 from core.results import Measurement
 from core.site import Site
 from daemon.burst import BurstPlan, Shot, take_burst
+from daemon.machine import Machine, this_machine
 from daemon.measuring import (
     ActiveCalibration,
     ImagePair,
@@ -56,6 +57,7 @@ class Pipeline:
     archive: FrameArchive
     clock: Clock
     burst: BurstPlan = field(default_factory=BurstPlan)
+    machine: Machine = field(default_factory=this_machine)
 
 
 def run_slot(
@@ -140,6 +142,9 @@ def _measure_captured(
         main_frame=stored.main_path if stored else None,
         sub_frame=stored.sub_path if stored else None,
         captured_utc=shots[0].captured_utc,
+        boot_id=line.machine.boot_id,
+        uptime_s=line.machine.uptime_s() - (line.clock.monotonic_s() - shots[0].captured_s),
+        clock_synchronised=line.machine.clock_synchronised(),
         main_camera=camera_state(first.main),
         sub_camera=camera_state(first.sub),
     )

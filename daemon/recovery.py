@@ -7,7 +7,6 @@ has its row is no longer looked at.
 from __future__ import annotations
 
 from datetime import datetime, timedelta
-from pathlib import Path
 
 import structlog
 
@@ -23,24 +22,17 @@ _log = structlog.get_logger("dcam.daemon")
 LOOK_BACK = timedelta(days=7)
 """How far before the last row pairs without a row are looked for: the archive may hold years."""
 
-BOOT_ID_FILE = Path("/proc/sys/kernel/random/boot_id")
 
-
-def read_boot_id() -> str:
-    """Give the kernel's name for this run of the machine: another one means it was off between."""
-    return BOOT_ID_FILE.read_text(encoding="ascii").strip()
-
-
-def recover(line: Pipeline, schedule: Schedule, boot_id: str) -> datetime | None:
+def recover(line: Pipeline, schedule: Schedule) -> datetime | None:
     """Bring the record up to the present; give the last slot that is accounted for.
 
     Slots since the last finished one become a gap with the cause of the absence; pairs without a
     row are measured and recorded late, which takes their slots out of the gap again. Raises
     StoreError.
     """
-    cause, detail = why_absent(line.store, boot_id)
+    cause, detail = why_absent(line.store, line.machine.boot_id)
     close_gap(line, schedule, cause, detail)
-    mark_start(line, schedule, boot_id)
+    mark_start(line, schedule)
     last_row = line.store.last_slot()
     since = EPOCH if last_row is None else last_row - LOOK_BACK
     line.archive.mend(since)
@@ -109,7 +101,7 @@ def measure_orphans(line: Pipeline, since: datetime) -> int:
     return late
 
 
-def mark_start(line: Pipeline, schedule: Schedule, boot_id: str) -> None:
+def mark_start(line: Pipeline, schedule: Schedule) -> None:
     """Note that a daemon runs: from now on its absence is a crash or a loss of power."""
     accounted = line.store.accounted()
     now_utc = line.clock.now_utc()
@@ -117,7 +109,7 @@ def mark_start(line: Pipeline, schedule: Schedule, boot_id: str) -> None:
     now_utc = min(now_utc, schedule.next_slot(now_utc, None) - SECOND)
     # A clock that woke in the past must not move the beginning of the next gap there.
     mark_finished(line.store, max(now_utc, accounted[1]) if accounted else now_utc)
-    line.store.set_mark(Mark.BOOT_ID, boot_id)
+    line.store.set_mark(Mark.BOOT_ID, line.machine.boot_id)
     line.store.set_mark(Mark.CLEAN_STOP_UTC, None)
 
 

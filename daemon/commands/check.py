@@ -21,8 +21,9 @@ from daemon.commands.output import print_json, print_table
 from daemon.config import Config, Installation
 from daemon.devices import open_clock, open_head, open_pair_source, require_backend
 from daemon.errors import ConfigError, DcamError, ExitCode, exit_code_of, lines_of
-from daemon.health import clock_is_synchronised, dcamd_runs, has_stepped_clock
+from daemon.health import dcamd_runs, has_stepped_clock
 from daemon.lock import sole_writer
+from daemon.machine import clock_is_synchronised
 from daemon.store.database import open_store_readonly
 from daemon.store.errors import DatabaseMissingError, StoreError
 from daemon.wording import bytes_text

@@ -70,6 +70,14 @@ class MeasurementRecord:
     sub_frame: str | None = None
     captured_utc: datetime | None = None
     """When the pair was triggered; None if a crash left frames without that knowledge."""
+    boot_id: str | None = None
+    """The kernel's name for the run of the machine in which the pair was taken."""
+    uptime_s: float | None = None
+    """Seconds since that boot at the capture: they order and space rows whatever the clock says."""
+    clock_synchronised: bool | None = None
+    """Whether something (NTP, PTP) disciplined the clock; None where the kernel does not tell."""
+    redated_from_utc: datetime | None = None
+    """The slot that a wrong clock gave it at first; None for nearly all rows."""
     recorded_late: bool = False
     """The frames were found without a row after a restart, and measured then."""
     main_camera: CameraState = field(default_factory=CameraState)

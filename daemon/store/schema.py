@@ -9,7 +9,17 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any, ClassVar
 
-from sqlalchemy import CheckConstraint, Dialect, Float, ForeignKey, Text, TypeDecorator, text
+from sqlalchemy import (
+    CheckConstraint,
+    Dialect,
+    Float,
+    ForeignKey,
+    Index,
+    Text,
+    TypeDecorator,
+    UniqueConstraint,
+    text,
+)
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from daemon.store.records import GapCause
@@ -93,6 +103,17 @@ class MeasurementRow(Base):
         CheckConstraint("flag IN (1, 3, 4, 9)", name="measurement_flag"),
         CheckConstraint("(flag IN (1, 3)) = (x_mm IS NOT NULL)", name="measurement_value"),
         CheckConstraint("slot_utc GLOB '????-??-??T??:??:??Z'", name="measurement_slot"),
+        Index(
+            "ix_measurement_unsynchronised",
+            "boot_id",
+            "uptime_s",
+            sqlite_where=text("clock_synchronised = 0"),
+        ),
+        Index(
+            "ix_measurement_redated",
+            "redated_from_utc",
+            sqlite_where=text("redated_from_utc IS NOT NULL"),
+        ),
     )
 
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -145,10 +166,29 @@ class MeasurementRow(Base):
     main_frame: Mapped[str | None]
     sub_frame: Mapped[str | None]
     captured_utc: Mapped[datetime | None] = mapped_column(Instant)
+    boot_id: Mapped[str | None]
+    uptime_s: Mapped[float | None]
+    clock_synchronised: Mapped[bool | None]
+    redated_from_utc: Mapped[datetime | None]
     recorded_late: Mapped[bool]
     calibration_id: Mapped[int | None] = mapped_column(ForeignKey("calibration.id"))
     config_hash: Mapped[str]
     version: Mapped[str]
+
+
+class UndatedRow(Base):
+    """A pair measured while the clock was before the last slot: when it was is not known yet."""
+
+    __tablename__ = "undated"
+    __table_args__ = (UniqueConstraint("boot_id", "uptime_s"),)
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    boot_id: Mapped[str]
+    uptime_s: Mapped[float]
+    clock_utc: Mapped[datetime] = mapped_column(Instant)
+    """What the clock said at the capture."""
+    content: Mapped[str]
+    """JSON: the columns of its `measurement` row, the slot by the wrong clock."""
 
 
 class GapRow(Base):

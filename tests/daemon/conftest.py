@@ -17,6 +17,7 @@ from core.site import (
     RigPrior,
     Site,
 )
+from daemon.machine import Machine
 from daemon.notify import Notifier
 from daemon.pipeline import Pipeline
 from daemon.recovery import recover
@@ -77,12 +78,23 @@ class Station:
         self.schedule = Schedule(period_s)
         self.store = open_store(state)
         self.archive = FrameArchive(state)
-        self.line = Pipeline(SITE, "hash", self.store, self.archive, self.clock)
+        self.booted_s: dict[str, float] = {}
+        self.synchronised: bool | None = None
+        self.line = self.pipeline("boot-1")
         self.source = ToldSource(self.clock)
         self.stop = threading.Event()
 
+    def pipeline(self, boot_id: str) -> Pipeline:
+        """What slots pass through in one run of the machine, which begins now if it is new."""
+        booted_s = self.booted_s.setdefault(boot_id, self.clock.monotonic_s())
+        machine = Machine(
+            boot_id, lambda: self.clock.monotonic_s() - booted_s, lambda: self.synchronised
+        )
+        return Pipeline(SITE, "hash", self.store, self.archive, self.clock, machine=machine)
+
     def start(self, boot_id: str = "boot-1") -> SlotRunner:
-        last = recover(self.line, self.schedule, boot_id)
+        self.line = self.pipeline(boot_id)
+        last = recover(self.line, self.schedule)
         return SlotRunner(
             self.line, self.schedule, self.source, self.stop, last, Notifier(address=None)
         )

@@ -53,9 +53,9 @@ def test_recovery_may_be_repeated(station) -> None:
     station.run(2)
     leave_frames(station, 2)
     station.clock.advance(300)
-    first = recover(station.line, station.schedule, "boot-1")
+    first = recover(station.line, station.schedule)
     before = station.gaps(), station.minutes(), list(station.store.measurements())
-    assert recover(station.line, station.schedule, "boot-1") == first
+    assert recover(station.line, station.schedule) == first
     assert (station.gaps(), station.minutes(), list(station.store.measurements())) == before
 
 

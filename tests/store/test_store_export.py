@@ -59,6 +59,8 @@ def test_records_have_the_agreed_columns_first_and_then_everything_else() -> Non
     assert row["main_frame"] == "frames/2026/03/01/000000_main.png"
     assert (row["calibration_id"], row["config_hash"], row["version"]) == ("7", "c0ffee", "0.1.0")
     assert (row["recorded_late"], row["skew_s"]) == ("true", "-0.0012")
+    assert row["redated_from_utc"] == "2023-09-13T00:00:00Z"
+    assert (row["uptime_s"], row["clock_synchronised"]) == ("86400.25", "false")
     assert (row["main_temperature_c"], row["sub_exposure_us"]) == ("41.5", "800.25")
     assert (row["discs_found"], row["raw_cov_xy_mm2"]) == ("5", "-0.02")
     assert all(value != "" for value in row.values())

@@ -27,7 +27,7 @@ from daemon.store.errors import (
     DatabaseUnwritableError,
     StoreError,
 )
-from daemon.store.schema import Base
+from daemon.store.schema import Base, slot_text
 from tests.store.examples import full_record, record, slot
 
 NOW = datetime(2026, 3, 1, 12, 34, 56, tzinfo=UTC)
@@ -153,17 +153,23 @@ def test_an_old_database_is_saved_and_then_migrated(
 
 def test_rows_from_before_bursts_rest_on_one_pair(tmp_path: Path) -> None:
     """A database of the first revision: values stay, and say that one pair was used."""
-    with open_store(tmp_path, now_utc=NOW) as store:
-        store.add_measurement(full_record(slot(0)))
-        store.add_measurement(record(slot(1)))
-    with closing(sqlite3.connect(tmp_path / "dcam.db")) as connection:
-        for column in ("spread_x_mm", "spread_y_mm", "frames_used"):
-            connection.execute(f"ALTER TABLE measurement DROP COLUMN {column}")
-        connection.execute("UPDATE alembic_version SET version_num = '0001'")
-        connection.commit()
+    engine = make_engine(tmp_path / "dcam.db")
+    config = migrate.alembic_config()
+    with engine.execution_options(dcam_begin="IMMEDIATE").begin() as connection:
+        config.attributes["connection"] = connection
+        command.upgrade(config, "0001")
+        for minute, flag, x_mm in ((0, 1, 0.25), (1, 4, None)):
+            connection.exec_driver_sql(
+                "INSERT INTO measurement (slot_utc, flag, reasons, x_mm, y_mm, sigma_x_mm,"
+                " sigma_y_mm, cov_xy_mm2, discs_found, corners_used, recorded_late, config_hash,"
+                " version) VALUES (?, ?, '', ?, 0.5, 0.1, 0.1, 0.0, 5, 900, 0, 'c0ffee', '0.1')",
+                (slot_text(slot(minute)), flag, x_mm),
+            )
+    engine.dispose()
     with open_store(tmp_path, now_utc=NOW) as store:
         first, second = (row.measurement for row in store.measurements())
     assert first.corrected is not None
+    assert first.corrected.mm.tolist() == [0.25, 0.5]
     assert (first.spread_mm, first.frames_used, second.frames_used) == (None, 1, 0)
 
 
