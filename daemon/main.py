@@ -26,6 +26,7 @@ from daemon.notify import Notifier
 from daemon.pause import Pause
 from daemon.pipeline import Pipeline
 from daemon.recovery import mark_stop, recover
+from daemon.reporting import Reporter
 from daemon.runner import SlotRunner
 from daemon.store.database import Store, open_store
 from daemon.store.frames import FrameArchive
@@ -67,20 +68,20 @@ def serve(installation: Installation, max_slots: int | None = None) -> None:
     config = installation.config
     require_backend(config)
     configure_log(config.log.format, config.log.level)
-    notifier = Notifier.from_environment()
+    reporter = Reporter(Notifier.from_environment())
     state = installation.state_directory
     with stop_on_signals() as stop, sole_writer(state), closing(open_store(state)) as store:
         try:
-            _run(installation, store, stop, notifier, max_slots)
+            _run(installation, store, stop, reporter, max_slots)
         finally:
-            notifier.stopping()
+            reporter.stopping()
 
 
 def _run(
     installation: Installation,
     store: Store,
     stop: threading.Event,
-    notifier: Notifier,
+    reporter: Reporter,
     max_slots: int | None,
 ) -> None:
     config = installation.config
@@ -95,21 +96,22 @@ def _run(
         clock,
         config.burst_plan(),
         machine=simulated_machine(clock) if has_stepped_clock(config) else this_machine(),
+        late_row_done=reporter.late_row_done,
     )
     schedule = config.schedule.schedule()
     with ExitStack() as opened:
         source = opened.enter_context(closing(open_pair_source(config, clock)))
-        notifier.status("recovering")
+        reporter.recovering()
         last_utc = recover(line, schedule)
         store.add_event(clock.now_utc(), "started", f"version {VERSION}")
         _log.info("started", site=config.name, version=VERSION, state=str(archive.state))
         pause = Pause(source.close)
         opened.enter_context(control_socket(archive.state, pause))
-        notifier.ready()
+        reporter.ready()
         prepare_cameras(source)
-        runner = SlotRunner(line, schedule, source, stop, last_utc, notifier, pause)
+        runner = SlotRunner(line, schedule, source, stop, last_utc, reporter, pause)
         done = runner.run(max_slots)
-        notifier.stopping()
+        reporter.stopping()
     store.add_event(clock.now_utc(), "stopped", f"after {done} slots")
     mark_stop(store, clock.now_utc())
     _log.info("stopped", slots=done)

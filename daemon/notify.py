@@ -1,4 +1,4 @@
-"""What systemd is told: ready, status, stopping (sd_notify(3)), without a library for it."""
+"""What systemd is told: ready, status, alive, stopping (sd_notify(3)), without a library for it."""
 
 from __future__ import annotations
 
@@ -33,6 +33,11 @@ class Notifier:
     def status(self, text: str) -> None:
         """Set the line that `systemctl status` shows."""
         self._send(f"STATUS={' '.join(text.split())}")
+
+    def alive(self, text: str) -> None:
+        """Set the status line to the cycle that has ended, and feed the watchdog because it has."""
+        self.status(text)
+        self._send("WATCHDOG=1")
 
     def _send(self, state: str) -> None:
         if self._address is None:

@@ -6,7 +6,7 @@ demo and the recovery after a crash go this way; `capture` and `reprocess` measu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 
@@ -58,6 +58,8 @@ class Pipeline:
     clock: Clock
     burst: BurstPlan = field(default_factory=BurstPlan)
     machine: Machine = field(default_factory=this_machine)
+    late_row_done: Callable[[datetime], None] = lambda _slot_utc: None
+    """Told of each pair that was measured late: many of them take their time."""
 
 
 def run_slot(
@@ -95,6 +97,7 @@ def record_late(line: Pipeline, slot_utc: datetime) -> MeasurementRecord:
     record = measure_stored(line, slot_utc)
     line.store.add_measurement(record)
     _acknowledge(line, record, started_s)
+    line.late_row_done(slot_utc)
     return record
 
 

@@ -9,10 +9,10 @@ from datetime import datetime, timedelta
 
 import structlog
 
-from daemon.notify import Notifier
 from daemon.pause import Pause
 from daemon.pipeline import Missed, Pipeline, record_late, run_slot
 from daemon.recovery import mark_finished
+from daemon.reporting import Reporter
 from daemon.schedule import MissedSlots, Schedule
 from daemon.store.errors import StoreError
 from daemon.store.records import GapCause, MeasurementRecord
@@ -41,14 +41,14 @@ class SlotRunner:
         source: FramePairSource,
         stop: threading.Event,
         last_utc: datetime | None,
-        notifier: Notifier,
+        reporter: Reporter,
         pause: Pause | None = None,
     ) -> None:
         self._line = line
         self._schedule = schedule
         self._source = source
         self._stop = stop
-        self._notifier = notifier
+        self._reporter = reporter
         self._pause = pause or Pause(source.close)
         self._last = last_utc
         """The last slot that is accounted for, or owed."""
@@ -96,13 +96,11 @@ class SlotRunner:
         self._clock_trouble = ""
         if isinstance(outcome, Missed):
             self._owe(MissedSlots(slot, slot, 1), outcome.cause, outcome.detail)
-            state = f"missed: {outcome.cause.value}"
         else:
             self._last = slot
-            state = f"done: {outcome.measurement.flag.name.lower()}"
-        self._notifier.status(f"slot {slot_text(slot)} {state}")
         self._settle_debts()
         self._mark_finished(slot, outcome)
+        self._reporter.slot_done(slot, outcome)
 
     def _owe(self, missed: MissedSlots, cause: GapCause, detail: str) -> None:
         self._owed.append(_Owed(missed, cause, detail))

@@ -21,6 +21,7 @@ from daemon.machine import Machine
 from daemon.notify import Notifier
 from daemon.pipeline import Pipeline
 from daemon.recovery import recover
+from daemon.reporting import Reporter
 from daemon.runner import SlotRunner
 from daemon.schedule import Schedule
 from daemon.store.database import open_store
@@ -96,7 +97,7 @@ class Station:
         self.line = self.pipeline(boot_id)
         last = recover(self.line, self.schedule)
         return SlotRunner(
-            self.line, self.schedule, self.source, self.stop, last, Notifier(address=None)
+            self.line, self.schedule, self.source, self.stop, last, Reporter(Notifier(None))
         )
 
     def run(self, slots: int, orders: dict | None = None, boot_id: str = "boot-1") -> None:

@@ -32,7 +32,7 @@ class Served:
             station.source,
             station.stop,
             None,
-            self.runner._notifier,
+            self.runner._reporter,
             self.pause,
         )
 
