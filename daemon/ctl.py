@@ -26,6 +26,7 @@ COMMANDS = {
     "status": "Last value, cameras, coverage, gaps, disk; Nagios exit codes.",
     "gaps": "List slots without a measurement, and why.",
     "export": "Write measurements as a table.",
+    "backup": "Copy the database while the daemon runs.",
     "reprocess": "Measure kept frames or a frame set again.",
     "simulate": "A simulated pan-tilt head on a serial port.",
     "demo": "The whole system on a simulated rig, against the known truth.",

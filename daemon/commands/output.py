@@ -93,6 +93,10 @@ class Steps:
             self._progress.update(self._task, description=what)
         self._progress.advance(self._task)
 
+    def at(self, done: int, total: int) -> None:
+        """So many of so many are done: for work whose size shows on the way."""
+        self._progress.update(self._task, completed=done, total=total)
+
 
 @contextmanager
 def progress(total: int, what: str) -> Iterator[Steps]:

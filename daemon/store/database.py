@@ -25,6 +25,7 @@ from daemon.store.convert import (
     measurement_record,
     measurement_row,
 )
+from daemon.store.copying import Copied, Tell, backup
 from daemon.store.coverage import coverage, schedule_slots
 from daemon.store.durable import fsync_directory, make_directory_durable
 from daemon.store.errors import (
@@ -360,15 +361,15 @@ class Store:
 
     # The file
 
-    def backup(self, target: Path) -> None:
-        """Copy the database consistently, under the running daemon, to a durable file.
+    def backup(self, target: Path, tell: Tell = lambda _done, _total: None) -> Copied:
+        """Copy the database consistently, under the running daemon, to a checked, durable file.
 
         Raises DatabaseUnwritableError; an older file of that name is replaced only by a whole one.
         """
-        if target.absolute() == self.path.absolute():
+        if target.exists() and target.samefile(self.path):
             msg = f"{target}: is the database itself: choose another name"
             raise StoreError(msg)
-        sqlite.backup(self.path, target)
+        return backup(self.path, target, tell)
 
     def checkpoint(self) -> None:
         """Move the write-ahead log into the file and empty it, as far as readers allow."""

@@ -12,7 +12,6 @@ from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DBAPIError, StatementError
 from sqlalchemy.pool import QueuePool
 
-from daemon.store.durable import fsync_directory, fsync_file
 from daemon.store.errors import (
     DatabaseBusyError,
     DatabaseDamagedError,
@@ -130,16 +129,17 @@ def translated(path: Path) -> Iterator[None]:
     try:
         yield
     except DBAPIError as error:
-        raise _translate(path, error.orig) from error
+        raise translate(path, error.orig) from error
     except StatementError as error:
         if isinstance(error.orig, ValueError):  # a value that no column can hold
             raise error.orig from None
         raise
     except sqlite3.Error as error:
-        raise _translate(path, error) from error
+        raise translate(path, error) from error
 
 
-def _translate(path: Path, error: BaseException | None) -> StoreError:
+def translate(path: Path, error: BaseException | None) -> StoreError:
+    """Give the store's error for one of SQLite's: what to do follows from its code."""
     code = _code(error)
     if code in _DAMAGED:
         return DatabaseDamagedError(
@@ -158,6 +158,11 @@ def _translate(path: Path, error: BaseException | None) -> StoreError:
     return StoreError(f"{path}: {error}")
 
 
+def is_damage(error: BaseException | None) -> bool:
+    """Whether SQLite's error says that the file itself is wrong."""
+    return _code(error) in _DAMAGED
+
+
 def _code(error: BaseException | None) -> int:
     return int(getattr(error, "sqlite_errorcode", 0)) & 0xFF  # the rest is SQLite's extension
 
@@ -170,32 +175,3 @@ def quick_check(path: Path) -> None:
         what = findings[0].splitlines()[-1] if findings else "no answer"
         msg = f"{path}: damaged ({what}): move it aside and restore a backup"
         raise DatabaseDamagedError(msg)
-
-
-def backup(source: Path, target: Path) -> None:
-    """Copy a database consistently, while others write to it, into one durable file.
-
-    The copy appears under its name only when complete, and replaces an older one of that name.
-    It is made in one step: a copy in several would start over with every commit between them.
-    """
-    temporary = target.with_name(f".{target.name}.tmp")
-    try:
-        temporary.write_bytes(b"")
-        with (
-            closing(connect_readonly(source)) as original,
-            closing(sqlite3.connect(temporary, isolation_level=None)) as copy,
-        ):
-            original.backup(copy)
-            # Without a log of its own the copy can be read from a read-only medium.
-            copy.execute("PRAGMA journal_mode=DELETE").close()
-        fsync_file(temporary)
-        temporary.replace(target)
-        fsync_directory(target.parent)
-    except OSError as error:
-        msg = f"{target}: cannot write the backup ({error.strerror}): choose another place"
-        raise DatabaseUnwritableError(msg) from error
-    except sqlite3.Error as error:
-        damaged = _code(error) in _DAMAGED  # the copy is new: damage is the original's
-        raise _translate(source if damaged else target, error) from error
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -11,7 +11,8 @@ from alembic.config import Config
 from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, Engine, inspect, text
 
-from daemon.store.engine import backup, translated
+from daemon.store.copying import backup
+from daemon.store.engine import translated
 from daemon.store.errors import DatabaseDamagedError, DatabaseNewerError, DatabaseOlderError
 
 
