@@ -135,7 +135,8 @@ def test_a_full_disk_is_told_and_the_older_backup_stays(running: Store, tmp_path
     (tmp_path / "disk").mkdir()
     script = (
         'mount -t tmpfs -o size=150k tmpfs "$0" || exit 77; older="$1"; shift;'
-        ' cp "$older" "$0/copy.db"; "$@"; code=$?; ls -A "$0" >&2; cmp "$0/copy.db" "$older" >&2; exit $code'
+        ' cp "$older" "$0/copy.db"; "$@"; code=$?;'
+        ' ls -A "$0" >&2; cmp "$0/copy.db" "$older" >&2; exit $code'
     )
     with open_store(tmp_path / "small") as small:
         small.backup(tmp_path / "older.db")
