@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from core.board import Board
-from core.calibration_report import CalibrationReport, write_report
+from core.calibration_report import write_report
 from core.dual import (
     Method,
     Recipe,
@@ -18,6 +18,7 @@ from core.dual import (
 )
 from core.dual_lens import fit_chosen, start_from_views
 from core.errors import CalibrationError
+from core.results import CalibrationReport
 from core.setup import Setup
 from core.site import Site
 from core.views import CalibrationView, ViewRole, look, relocate

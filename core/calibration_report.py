@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from core.observability import (
 )
 from core.paper import PaperModel
 from core.resection import resect
+from core.results import CalibrationReport
 from core.rig import Rig
 from core.setup import Setup
 from core.site import FloatArray, Site
@@ -28,17 +28,6 @@ from core.views import Rejected
 
 _FEW_LENS_VIEWS = 10
 _FAR_SIGMAS = 3.5
-
-
-@dataclass(frozen=True, slots=True)
-class CalibrationReport:
-    """What an engineer needs to decide whether to trust a calibration."""
-
-    passed: bool
-    lines: tuple[str, ...]
-    """Plain sentences, the verdict first."""
-    figures: dict[str, Any]
-    """The numbers behind them, plain JSON types."""
 
 
 def write_report(

@@ -12,7 +12,8 @@ from core.corners import LocatedBoard
 from core.discs import Discs
 from core.dual import drawn_rig
 from core.frames import GreyImage
-from core.lens import Lens, LensModel
+from core.lens import Lens
+from core.lens_model import LensModel
 from core.pose import Pose
 from core.resection import BoardView
 from core.rig import Rig

@@ -12,9 +12,10 @@ from core.board import Board
 from core.corners import detect_board, refine_board
 from core.errors import CalibrationError, TargetNotFoundError
 from core.frames import GreyImage
-from core.lens import Lens, LensModel
+from core.lens import Lens
 from core.lens_choice import LensChoice, choose_lens
 from core.lens_fit import wide_prior
+from core.lens_model import LensModel
 from core.lens_start import ImageSize, start_lens
 from core.resection import BoardView, resect
 from core.site import CameraGeometry, FloatArray

@@ -16,8 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.errors import TargetNotFoundError
-from core.lens import Lens, LensModel
+from core.lens import Lens
 from core.lens_fit import FittedLens, as_model, fit_lens, wide_prior
+from core.lens_model import LensModel
 from core.lens_start import thinned
 from core.pose import Pose
 from core.resection import BoardView, resect

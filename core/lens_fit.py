@@ -13,7 +13,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from core.lens import INTRINSICS, Lens, LensModel
+from core.lens import INTRINSICS, Lens
+from core.lens_model import LensModel
 from core.pose import Pose, skew_matrix
 from core.resection import BoardView, robust_scale, robust_weights
 from core.site import FloatArray, IntArray

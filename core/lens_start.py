@@ -14,8 +14,9 @@ import numpy as np
 
 from core.board import Board
 from core.errors import CalibrationError, TargetNotFoundError
-from core.lens import Lens, LensModel
+from core.lens import Lens
 from core.lens_fit import as_model, fit_lens, wide_prior
+from core.lens_model import LensModel
 from core.pose import Pose
 from core.resection import MIN_CORNERS, BoardView, pose_of_rays, resect
 from core.site import FloatArray

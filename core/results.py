@@ -1,9 +1,10 @@
-"""The typed values that leave the core: flags, reasons, a measurement."""
+"""The typed values that leave the core: flags, reasons, a measurement, a calibration's report."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
+from typing import Any
 
 from core.site import FloatArray
 
@@ -110,3 +111,14 @@ class Measurement:
     """(2,) 1 sigma of one pair of a burst about their mean; None with one pair."""
     frames_used: int = 0
     """Pairs that the value rests on."""
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationReport:
+    """What an engineer needs to decide whether to trust a calibration."""
+
+    passed: bool
+    lines: tuple[str, ...]
+    """Plain sentences, the verdict first."""
+    figures: dict[str, Any]
+    """The numbers behind them, plain JSON types."""

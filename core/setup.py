@@ -9,7 +9,8 @@ import numpy as np
 
 from core.board import Board
 from core.board_shape import shape_terms
-from core.lens import Lens, LensModel
+from core.lens import Lens
+from core.lens_model import LensModel
 from core.paper import PaperModel
 from core.pose import Pose
 from core.posterior import Posterior

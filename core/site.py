@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from core.lens import LensModel
+from core.lens_model import LensModel
 
 FloatArray = NDArray[np.floating[Any]]
 IntArray = NDArray[np.int64]

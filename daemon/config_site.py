@@ -20,7 +20,7 @@ from pydantic import (
     ValidationInfo,
 )
 
-from core.lens import LensModel
+from core.lens_model import LensModel
 from core.site import CameraGeometry, CheckerboardTarget, CirclesTarget, QualityLimits, RigPrior
 from drivers.protocols import PixelFormat, Role
 

@@ -9,8 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from core.calibration import CalibrationReport
-from core.results import Diagnostics, Displacement, Flag, Measurement, Reason, RigMotion
+from core.results import (
+    CalibrationReport,
+    Diagnostics,
+    Displacement,
+    Flag,
+    Measurement,
+    Reason,
+    RigMotion,
+)
 from core.site import FloatArray
 from daemon.store.records import CalibrationRecord, CameraState, MeasurementRecord
 from daemon.store.schema import CalibrationRow, MeasurementRow

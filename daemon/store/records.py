@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from core.calibration import Calibration, CalibrationReport
-from core.results import Measurement
+from core.results import CalibrationReport, Measurement
+
+if TYPE_CHECKING:
+    from core.calibration import Calibration
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -120,6 +122,8 @@ class CalibrationRecord:
     @property
     def calibration(self) -> Calibration:
         """The calibration that `core.measurement` takes."""
+        from core.calibration import Calibration  # loads all of the numerics
+
         return Calibration.from_dict(dict(self.content))
 
 

@@ -15,7 +15,7 @@ import pytest
 from core.calibration import Calibration, Method, ViewRole, calibrate
 from core.errors import CalibrationError, NotObservableError
 from core.frames import GreyImage
-from core.lens import LensModel
+from core.lens_model import LensModel
 from core.measurement import measure_pair
 from core.results import Flag
 from core.rig import Rig

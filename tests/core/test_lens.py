@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from core.lens import Lens, LensModel
+from core.lens import Lens
+from core.lens_model import LensModel
 from tests.core.derivatives import assert_same_derivative, by_differences
 
 COEFFICIENTS = {

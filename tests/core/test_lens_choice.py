@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from core.intrinsics import calibrate_lens_from_corners
-from core.lens import Lens, LensModel
+from core.lens import Lens
+from core.lens_model import LensModel
 from tests.core.test_lens_from_views import BOARD, SIZE, noisy, true_views
 
 LENSES = {

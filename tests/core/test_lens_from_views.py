@@ -8,7 +8,8 @@ import pytest
 from core.board import Board
 from core.errors import CalibrationError
 from core.intrinsics import calibrate_lens_from_corners
-from core.lens import Lens, LensModel
+from core.lens import Lens
+from core.lens_model import LensModel
 from core.pose import Pose
 from core.site import CheckerboardTarget, FloatArray
 
