@@ -15,7 +15,7 @@ from core.results import Measurement
 from daemon.store.convert import measurement_columns
 from daemon.store.durable import fsync_directory, temporary_name
 from daemon.store.records import MeasurementRecord
-from daemon.store.schema import MeasurementRow, instant_text, slot_text
+from daemon.store.schema import DIGEST, MeasurementRow, instant_text, slot_text
 
 RESULT_COLUMNS = (
     *("slot_utc", "flag", "reasons", "x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm"),
@@ -29,7 +29,7 @@ BURST_COLUMNS = ("spread_x_mm", "spread_y_mm", "frames_used")
 EXTRA_COLUMNS = tuple(
     column.name
     for column in MeasurementRow.__table__.columns
-    if column.name not in {"id", *RESULT_COLUMNS}
+    if column.name not in {"id", DIGEST, *RESULT_COLUMNS}
 )
 """What `export` adds, in the order of the database."""
 

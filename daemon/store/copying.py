@@ -12,7 +12,12 @@ from pathlib import Path
 
 from daemon.store.durable import fsync_directory, fsync_file, temporary_name
 from daemon.store.engine import connect_readonly, is_damage, translate
-from daemon.store.errors import DatabaseDamagedError, DatabaseUnwritableError, StoreError
+from daemon.store.errors import (
+    TO_SALVAGE,
+    DatabaseDamagedError,
+    DatabaseUnwritableError,
+    StoreError,
+)
 
 PAGES_A_STEP = 1024
 """4 MB between two syncs: a slot's own sync never waits behind more than that."""
@@ -84,7 +89,7 @@ def _copy_pages(
 def _checked(source: Path, copy: sqlite3.Connection) -> Copied:
     (finding,) = copy.execute("PRAGMA quick_check(1)").fetchone()
     if finding != "ok":
-        msg = f"{source}: damaged ({finding.splitlines()[-1]}): restart dcamd, it saves what it can"
+        msg = f"{source}: damaged ({finding.splitlines()[-1]}): {TO_SALVAGE}"
         raise DatabaseDamagedError(msg)
     rows, last = copy.execute("SELECT count(*), max(slot_utc) FROM measurement").fetchone()
     pages, page_bytes = (

@@ -27,6 +27,7 @@ from daemon.store.convert import (
 )
 from daemon.store.copying import Copied, Tell, backup
 from daemon.store.coverage import coverage, schedule_slots
+from daemon.store.digest import CheckedSession
 from daemon.store.durable import fsync_directory, make_directory_durable
 from daemon.store.errors import (
     DatabaseMissingError,
@@ -382,12 +383,12 @@ class Store:
 
     @contextmanager
     def _read(self) -> Iterator[Session]:
-        with sqlite.translated(self.path), Session(self._engine) as session:
+        with sqlite.translated(self.path), CheckedSession(self._engine) as session:
             yield session
 
     @contextmanager
     def _write(self) -> Iterator[Session]:
-        with sqlite.translated(self.path), Session(self._writer) as session, session.begin():
+        with sqlite.translated(self.path), CheckedSession(self._writer) as session, session.begin():
             yield session
 
     def _row(self, session: Session, slot_utc: datetime) -> MeasurementRow | None:

@@ -13,6 +13,8 @@ from sqlalchemy.exc import DBAPIError, StatementError
 from sqlalchemy.pool import QueuePool
 
 from daemon.store.errors import (
+    TO_SALVAGE,
+    DamagedRowError,
     DatabaseBusyError,
     DatabaseDamagedError,
     DatabaseUnwritableError,
@@ -30,6 +32,9 @@ _PRAGMAS: tuple[tuple[str, str, object], ...] = (
     ("synchronous", "FULL", 2),
     ("foreign_keys", "ON", 1),
 )
+
+_NOT_TEXT = "Could not decode to UTF-8"
+"""Python's driver says this without a code."""
 
 _DAMAGED = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
 _BUSY = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_PROTOCOL}
@@ -100,7 +105,7 @@ def database_exists(path: Path) -> bool:
         msg = f"{path}: cannot be read ({error.strerror}): check its permissions"
         raise DatabaseUnwritableError(msg) from error
     if start and start != _MAGIC:
-        msg = f"{path}: not a SQLite database: move it aside and restore a backup"
+        msg = f"{path}: not a SQLite database: {TO_SALVAGE}"
         raise DatabaseDamagedError(msg)
     return bool(start)
 
@@ -128,6 +133,9 @@ def translated(path: Path) -> Iterator[None]:
     """Turn SQLite's errors into the store's, which say what to do."""
     try:
         yield
+    except DamagedRowError as error:
+        msg = f"{path}: damaged ({error}): {TO_SALVAGE}"
+        raise DatabaseDamagedError(msg) from error
     except DBAPIError as error:
         raise translate(path, error.orig) from error
     except StatementError as error:
@@ -141,10 +149,8 @@ def translated(path: Path) -> Iterator[None]:
 def translate(path: Path, error: BaseException | None) -> StoreError:
     """Give the store's error for one of SQLite's: what to do follows from its code."""
     code = _code(error)
-    if code in _DAMAGED:
-        return DatabaseDamagedError(
-            f"{path}: damaged ({error}): move it aside and restore a backup"
-        )
+    if is_damage(error):
+        return DatabaseDamagedError(f"{path}: damaged ({error}): {TO_SALVAGE}")
     if code in _BUSY:
         return DatabaseBusyError(
             f"{path}: another program holds it locked ({error}): close that program"
@@ -160,7 +166,7 @@ def translate(path: Path, error: BaseException | None) -> StoreError:
 
 def is_damage(error: BaseException | None) -> bool:
     """Whether SQLite's error says that the file itself is wrong."""
-    return _code(error) in _DAMAGED
+    return _code(error) in _DAMAGED or _NOT_TEXT in str(error)
 
 
 def _code(error: BaseException | None) -> int:
@@ -173,5 +179,5 @@ def quick_check(path: Path) -> None:
         findings = [str(row[0]) for row in connection.execute("PRAGMA quick_check(1)")]
     if findings != ["ok"]:
         what = findings[0].splitlines()[-1] if findings else "no answer"
-        msg = f"{path}: damaged ({what}): move it aside and restore a backup"
+        msg = f"{path}: damaged ({what}): {TO_SALVAGE}"
         raise DatabaseDamagedError(msg)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+TO_SALVAGE = "restart dcamd, it sets the file aside and saves what can be read"
+"""What to do about damage."""
+
 
 class StoreError(Exception):
     """The database could not do what was asked; nothing of the request was written."""
@@ -25,6 +28,10 @@ class DatabaseOlderError(StoreError):
 
 class DatabaseDamagedError(StoreError):
     """The file is not a SQLite database, or its pages contradict each other."""
+
+
+class DamagedRowError(Exception):
+    """A row is not what was written: within the store only, it leaves as DatabaseDamagedError."""
 
 
 class DatabaseBusyError(StoreError):

@@ -22,7 +22,11 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
+from daemon.store.errors import DamagedRowError
 from daemon.store.records import GapCause
+
+DIGEST = "digest"
+"""The column of every table that holds its row's checksum."""
 
 
 def slot_text(slot_utc: datetime) -> str:
@@ -56,7 +60,13 @@ class Slot(TypeDecorator[datetime]):
 
     def process_result_value(self, value: str | None, _dialect: Dialect) -> datetime | None:
         """Read."""
-        return None if value is None else datetime.fromisoformat(value)
+        if value is None:
+            return None
+        try:
+            return datetime.fromisoformat(value)
+        except (ValueError, TypeError) as error:
+            msg = f"{value!r} is no time"
+            raise DamagedRowError(msg) from error
 
 
 class Instant(Slot):
@@ -81,7 +91,11 @@ class Cause(TypeDecorator[GapCause]):
 
     def process_result_value(self, value: str | None, _dialect: Dialect) -> GapCause | None:
         """Read."""
-        return None if value is None else GapCause(value)
+        try:
+            return None if value is None else GapCause(value)
+        except ValueError as error:
+            msg = f"{value!r} is no cause of a gap"
+            raise DamagedRowError(msg) from error
 
 
 class Base(DeclarativeBase):
@@ -93,6 +107,9 @@ class Base(DeclarativeBase):
         str: Text,
         float: Float(),  # SQLAlchemy's own choice changed between 2.0 and 2.1
     }
+
+    digest: Mapped[int | None] = mapped_column(sort_order=1000)
+    """Checksum of the row, see `daemon.store.digest`."""
 
 
 class MeasurementRow(Base):

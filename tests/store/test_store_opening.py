@@ -211,7 +211,7 @@ def test_a_file_that_is_no_database_is_refused_and_left_alone(
 ) -> None:
     (tmp_path / "dcam.db").write_bytes(content)
     for opener in (open_store, open_store_readonly):
-        with pytest.raises(DatabaseDamagedError, match=r"dcam\.db: .*move it aside"):
+        with pytest.raises(DatabaseDamagedError, match=r"dcam\.db: .*: restart dcamd, it sets"):
             opener(tmp_path)
     assert (tmp_path / "dcam.db").read_bytes() == content
 
