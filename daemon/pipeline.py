@@ -26,7 +26,7 @@ from daemon.measuring import (
     worst_skew_s,
 )
 from daemon.sequence import in_sequence
-from daemon.store.database import Store
+from daemon.store.database import NEVER, Store
 from daemon.store.errors import DiskFullError, StoreError
 from daemon.store.frames import FrameArchive, StoredPair, camera_state
 from daemon.store.records import GapCause, MeasurementRecord
@@ -58,6 +58,9 @@ class Pipeline:
     clock: Clock
     burst: BurstPlan = field(default_factory=BurstPlan)
     machine: Machine = field(default_factory=this_machine)
+    undated: bool = False
+    """Whether the clock is before the last slot: pairs are kept apart then, until their slots are
+    known; the archive is one of its own, below the state directory."""
     late_row_done: Callable[[datetime], None] = lambda _slot_utc: None
     """Told of each pair that was measured late: many of them take their time."""
 
@@ -71,6 +74,7 @@ def run_slot(
     put it into a gap is the caller's part.
     """
     started_s = line.clock.monotonic_s()
+    synchronised = line.machine.clock_synchronised()
     try:
         shots = take_burst(source, line.clock, slot_utc, line.burst)
     except DriverError as error:
@@ -81,7 +85,11 @@ def run_slot(
     stored = _keep_frames(line, slot_utc, shots)
     try:
         record = _measure_captured(line, slot_utc, shots, stored)
-        line.store.add_measurement(record)
+        record = replace(record, clock_synchronised=synchronised)
+        if line.undated:
+            line.store.add_undated(record)
+        else:
+            line.store.add_measurement(record)
     except StoreError as error:
         return _missed(slot_utc, _cause_of(error), str(error))
     _acknowledge(line, record, started_s)
@@ -142,12 +150,11 @@ def _measure_captured(
         version=VERSION,
         calibration_id=calibration.id if calibration else None,
         skew_s=worst_skew_s(pairs),
-        main_frame=stored.main_path if stored else None,
-        sub_frame=stored.sub_path if stored else None,
+        main_frame=_in_state(line, stored.main_path) if stored else None,
+        sub_frame=_in_state(line, stored.sub_path) if stored else None,
         captured_utc=shots[0].captured_utc,
         boot_id=line.machine.boot_id,
         uptime_s=line.machine.uptime_s() - (line.clock.monotonic_s() - shots[0].captured_s),
-        clock_synchronised=line.machine.clock_synchronised(),
         main_camera=camera_state(first.main),
         sub_camera=camera_state(first.sub),
     )
@@ -161,7 +168,13 @@ def _measure(
 ) -> Measurement:
     """Measure a slot's pairs and hold the result against the rows before."""
     alone = measure(pairs, line.site, calibration)
-    return in_sequence(line.store, calibration, line.site.quality, slot_utc, alone)
+    before_utc = NEVER if line.undated else slot_utc
+    return in_sequence(line.store, calibration, line.site.quality, before_utc, alone)
+
+
+def _in_state(line: Pipeline, path: str) -> str:
+    """A path of the archive as one of the state directory."""
+    return (line.archive.state / path).relative_to(line.store.path.parent).as_posix()
 
 
 def _keep_frames(line: Pipeline, slot_utc: datetime, shots: Sequence[Shot]) -> StoredPair | None:
@@ -192,6 +205,7 @@ def _acknowledge(line: Pipeline, record: MeasurementRecord, started_s: float) ->
         x_mm=x_mm,
         y_mm=y_mm,
         late=record.recorded_late,
+        undated=line.undated,
         took_s=round(line.clock.monotonic_s() - started_s, 3),
     )
 

@@ -10,7 +10,9 @@ from datetime import datetime, timedelta
 
 import structlog
 
+from daemon.absence import Absence, absence_text, read_absence, why_absent
 from daemon.pipeline import Pipeline, record_late
+from daemon.redating import finish_moves
 from daemon.schedule import SECOND, Schedule
 from daemon.store.database import Store
 from daemon.store.errors import StoreError
@@ -32,27 +34,13 @@ def recover(line: Pipeline, schedule: Schedule) -> datetime | None:
     """
     cause, detail = why_absent(line.store, line.machine.boot_id)
     close_gap(line, schedule, cause, detail)
-    mark_start(line, schedule)
+    mark_start(line, schedule, cause, detail)
     last_row = line.store.last_slot()
     since = EPOCH if last_row is None else last_row - LOOK_BACK
     line.archive.mend(since)
     measure_orphans(line, since)
     # Late rows take their time; what was missed meanwhile has the same cause.
     return close_gap(line, schedule, cause, detail)
-
-
-def why_absent(store: Store, boot_id: str) -> tuple[GapCause, str]:
-    """Tell why there was no daemon until now, from the marks that the last one left."""
-    last_boot_id = store.get_mark(Mark.BOOT_ID)
-    stopped_utc = store.get_mark(Mark.CLEAN_STOP_UTC)
-    seen_utc = store.get_mark(Mark.HEARTBEAT_UTC)
-    if stopped_utc is not None:
-        return GapCause.STOPPED, f"stopped at {stopped_utc}"
-    if last_boot_id is None:
-        return GapCause.STOPPED, "dcamd had not run before"
-    if last_boot_id != boot_id:
-        return GapCause.POWER_LOSS, f"the machine went down without a stop; last seen {seen_utc}"
-    return GapCause.CRASH, f"dcamd ended without a stop; last seen {seen_utc}"
 
 
 def close_gap(line: Pipeline, schedule: Schedule, cause: GapCause, detail: str) -> datetime | None:
@@ -91,7 +79,8 @@ def measure_orphans(line: Pipeline, since: datetime) -> int:
     A row that the database refuses stays an orphan. Raises StoreError when it cannot be read.
     """
     late = 0
-    for slot_utc in line.archive.orphans(line.store.measured_slots(since), since):
+    known = line.store.measured_slots(since) | finish_moves(line, since)
+    for slot_utc in line.archive.orphans(known, since):
         try:
             record_late(line, slot_utc)
         except StoreError as error:
@@ -101,16 +90,28 @@ def measure_orphans(line: Pipeline, since: datetime) -> int:
     return late
 
 
-def mark_start(line: Pipeline, schedule: Schedule) -> None:
-    """Note that a daemon runs: from now on its absence is a crash or a loss of power."""
+def mark_start(line: Pipeline, schedule: Schedule, cause: GapCause, detail: str) -> None:
+    """Note that a daemon runs: from now on its absence is a crash or a loss of power.
+
+    Why there was none before this boot is noted once for each boot. Raises StoreError.
+    """
     accounted = line.store.accounted()
     now_utc = line.clock.now_utc()
     # A slot that is due just now is still to be taken.
     now_utc = min(now_utc, schedule.next_slot(now_utc, None) - SECOND)
     # A clock that woke in the past must not move the beginning of the next gap there.
-    mark_finished(line.store, max(now_utc, accounted[1]) if accounted else now_utc)
-    line.store.set_mark(Mark.BOOT_ID, line.machine.boot_id)
-    line.store.set_mark(Mark.CLEAN_STOP_UTC, None)
+    finished_utc = max(now_utc, accounted[1]) if accounted else now_utc
+    marks: dict[Mark, str | None] = {
+        Mark.HEARTBEAT_UTC: instant_text(finished_utc),
+        Mark.BOOT_ID: line.machine.boot_id,
+        Mark.CLEAN_STOP_UTC: None,
+    }
+    before = read_absence(line.store)
+    if before is None or before.boot_id != line.machine.boot_id:
+        behind = accounted is not None and schedule.is_behind(now_utc, accounted[1])
+        absence = Absence(cause, detail, line.machine.boot_id, is_open=behind)
+        marks[Mark.ABSENCE] = absence_text(absence)
+    line.store.set_marks(marks)
 
 
 def mark_finished(store: Store, time_utc: datetime) -> None:

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 import structlog
 
+from daemon.absence import absence_text, read_absence
 from daemon.pause import Pause
 from daemon.pipeline import Missed, Pipeline, record_late, run_slot
 from daemon.recovery import mark_finished
+from daemon.redating import Redated, put_right, split_at, undated_archive
 from daemon.reporting import Reporter
 from daemon.schedule import MissedSlots, Schedule
 from daemon.store.errors import StoreError
-from daemon.store.records import GapCause, MeasurementRecord
+from daemon.store.records import GapCause, Mark, MeasurementRecord
 from daemon.store.schema import slot_text
 from drivers.protocols import FramePairSource
 
@@ -58,6 +60,16 @@ class SlotRunner:
         """What was wrong with the wall clock since the last slot."""
         self._failing: GapCause | None = None
         """Why the slot before had no row."""
+        self._absence = read_absence(line.store)
+        """Why there was no daemon before this boot, and whether its gap is recorded."""
+        self._apart: Pipeline | None = None
+        """What pairs pass through while the clock is before the last slot."""
+        self._begun_s = -float(schedule.period_s)
+        """Monotonic time at which the last slot began."""
+        self._last_undated: datetime | None = None
+        """The last slot of the wrong clock, since it was stepped."""
+        self._was_right: bool | None = None
+        """Whether the clock was disciplined when last looked at."""
 
     def run(self, max_slots: int | None = None) -> int:
         """Run until told to stop, or until so many slots have been run; give how many were."""
@@ -70,7 +82,11 @@ class SlotRunner:
             self._watch_clock()
             if self._schedule.is_too_late(slot, self._line.clock.now_utc()):
                 continue
-            self._run(slot)
+            self._begun_s = self._line.clock.monotonic_s()
+            if self._is_behind():
+                self._run_undated(slot)
+            else:
+                self._run(slot)
             done += 1
         self._settle_debts()
         return done
@@ -78,14 +94,32 @@ class SlotRunner:
     def _next_slot(self) -> datetime:
         """Choose the next slot; those that have gone by unused become a gap."""
         self._watch_clock()
-        slot = self._schedule.next_slot(self._line.clock.now_utc(), self._last)
+        now_utc = self._line.clock.now_utc()
+        if self._is_behind():
+            # Half a period from the pair before, or both would be nearest to one true slot.
+            passed_s = self._line.clock.monotonic_s() - self._begun_s
+            rest_s = max(self._schedule.period_s / 2 - passed_s, 0.0)
+            return self._schedule.next_slot(now_utc + timedelta(seconds=rest_s), self._last_undated)
+        slot = self._schedule.next_slot(now_utc, self._last)
         missed = self._schedule.missed_between(self._last, slot) if self._last else None
         if missed is not None:
             if self._clock_trouble:
-                self._owe(missed, GapCause.CLOCK_WRONG, self._clock_trouble)
+                self._owe_to_clock(missed)
             else:
                 self._owe(missed, GapCause.OVERRUN, "the slot before took too long")
         return slot
+
+    def _owe_to_clock(self, missed: MissedSlots) -> None:
+        """The clock was wrong since this boot; what was missed before it has a cause of its own."""
+        line = self._line
+        booted_utc = line.clock.now_utc() - timedelta(seconds=line.machine.uptime_s())
+        absence, trouble = self._absence, self._clock_trouble or "the clock was wrong"
+        if absence is None or not absence.is_open:
+            self._owe(missed, GapCause.CLOCK_WRONG, trouble)
+            return
+        for part, cause, detail in split_at(self._schedule, missed, booted_utc, absence):
+            is_clock = cause is GapCause.CLOCK_WRONG
+            self._owe(part, cause, trouble if is_clock else detail)
 
     def _run(self, slot: datetime) -> None:
         with self._pause.slot() as reason:
@@ -100,6 +134,28 @@ class SlotRunner:
             self._last = slot
         self._settle_debts()
         self._mark_finished(slot, outcome)
+        self._reporter.slot_done(slot, outcome)
+
+    def _run_undated(self, slot: datetime) -> None:
+        """Keep a pair whose slot nobody knows yet: the time since the boot will tell.
+
+        The record ends with the last slot all the same: neither a gap nor a mark comes of it.
+        """
+        if self._apart is None:
+            name = f"{self._line.machine.boot_id[:8]}-{self._line.machine.uptime_s():.0f}"
+            archive = undated_archive(self._line, name)
+            self._apart = replace(self._line, archive=archive, undated=True)
+        with self._pause.slot() as reason:
+            if reason is None:
+                outcome = run_slot(self._apart, slot, self._source)
+            else:
+                outcome = Missed(slot, GapCause.CALIBRATION, reason)
+        self._last_undated = slot
+        try:
+            if self._failing is not GapCause.CLOCK_WRONG:
+                self._note_change(slot, GapCause.CLOCK_WRONG)
+        except StoreError as error:
+            _log.error("event_not_recorded", error=str(error))
         self._reporter.slot_done(slot, outcome)
 
     def _owe(self, missed: MissedSlots, cause: GapCause, detail: str) -> None:
@@ -139,6 +195,9 @@ class SlotRunner:
             return
         try:
             mark_finished(self._line.store, slot)
+            if self._absence is not None and self._absence.is_open:
+                self._absence = replace(self._absence, is_open=False)
+                self._line.store.set_mark(Mark.ABSENCE, absence_text(self._absence))
             if cause != self._failing:
                 self._note_change(slot, cause)
         except StoreError as error:
@@ -153,17 +212,43 @@ class SlotRunner:
     def _look_at_clocks(self) -> tuple[datetime, float]:
         return self._line.clock.now_utc(), self._line.clock.monotonic_s()
 
+    def _is_behind(self) -> bool:
+        now_utc = self._line.clock.now_utc()
+        return self._last is not None and self._schedule.is_behind(now_utc, self._last)
+
     def _watch_clock(self) -> None:
-        """Notice a wall clock that was stepped, or that is before the last slot."""
+        """Notice a wall clock that was stepped, that is before the last slot, or is right again."""
         utc, monotonic_s = self._look_at_clocks()
         step_s = (utc - self._seen[0]).total_seconds() - (monotonic_s - self._seen[1])
         self._seen = utc, monotonic_s
         if abs(step_s) > self._schedule.max_late_s:
             slept = ", or the machine slept" if step_s > 0 else ""
             self._note_clock(f"the clock was stepped by {step_s:+.0f} s{slept}")
-        late = timedelta(seconds=self._schedule.max_late_s)
-        if self._last is not None and utc < self._last - late and not self._clock_trouble:
+            self._apart = self._last_undated = self._was_right = None
+        if self._is_behind() and not self._clock_trouble:
             self._note_clock(f"the clock said {utc:%Y-%m-%dT%H:%M:%SZ}, before the last slot")
+        is_right = self._line.machine.clock_synchronised()
+        if is_right and not self._was_right:
+            self._put_right()
+        self._was_right = is_right
+
+    def _put_right(self) -> None:
+        """Date what this boot took while the clock was wrong: it is right now."""
+        try:
+            if put_right(self._line, self._schedule) == Redated():
+                return
+            accounted = self._line.store.accounted()
+        except StoreError as error:
+            _log.error("times_not_put_right", error=str(error))
+            return
+        before_utc, self._last = self._last, accounted[1] if accounted else None
+        if before_utc is None or self._last is None:
+            return
+        missed = self._schedule.missed_between(before_utc, self._last)
+        if missed is not None:
+            last_utc = self._last
+            self._owe_to_clock(missed)
+            self._last = last_utc
 
     def _note_clock(self, trouble: str) -> None:
         _log.warning("clock_wrong", detail=trouble)

@@ -55,6 +55,18 @@ class Schedule:
         earliest = self.first_from(now_utc - timedelta(seconds=self.max_late_s))
         return earliest if last_utc is None else max(earliest, self.first_after(last_utc))
 
+    def nearest(self, when_utc: datetime) -> datetime:
+        """Give the slot that a time is nearest to."""
+        return self.first_from(when_utc - timedelta(seconds=self.period_s / 2))
+
+    def last_due(self, now_utc: datetime) -> datetime:
+        """Give the latest slot that is not in the future."""
+        return self.first_after(now_utc) - self.period_s * SECOND
+
+    def is_behind(self, now_utc: datetime, last_utc: datetime) -> bool:
+        """Tell whether a clock is so far before the last slot that slots would be lost to it."""
+        return now_utc < last_utc - self.period_s * SECOND
+
     def is_too_late(self, slot_utc: datetime, now_utc: datetime) -> bool:
         """Tell whether a slot can no longer be taken under its name."""
         return now_utc - slot_utc > timedelta(seconds=self.max_late_s)

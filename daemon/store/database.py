@@ -7,7 +7,7 @@ writer, nor it for them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -19,6 +19,7 @@ from sqlalchemy.orm import Session
 
 from daemon.store import engine as sqlite
 from daemon.store import gaps as gap_runs
+from daemon.store import undated
 from daemon.store.convert import (
     calibration_record,
     calibration_row,
@@ -141,17 +142,8 @@ class Store:
         Raises SlotTakenError when the slot has a row already, StoreError for a measurement that
         is not finite.
         """
-        try:
-            row = measurement_row(record)
-        except ValueError as error:
-            msg = f"{self.path}: slot {slot_text(record.slot_utc)} cannot be stored: {error}"
-            raise StoreError(msg) from error
         with self._write() as session:
-            if self._row(session, record.slot_utc) is not None:
-                msg = f"{self.path}: slot {slot_text(record.slot_utc)} has a row already"
-                raise SlotTakenError(msg)
-            gap_runs.release(session, record.slot_utc)
-            session.add(row)
+            self._add(session, record)
 
     def measurement(self, slot_utc: datetime) -> MeasurementRecord | None:
         """The row of a slot."""
@@ -245,6 +237,81 @@ class Store:
             )
         known = [limit for limit in limits if limit is not None]
         return (min(known), max(known)) if known else None
+
+    # Times put right
+
+    def add_undated(self, record: MeasurementRecord) -> None:
+        """Keep a pair that was taken while the clock was before the last slot.
+
+        Raises StoreError for a measurement that is not finite, or that does not know its boot.
+        """
+        try:
+            row = undated.undated_row(record)
+        except ValueError as error:
+            msg = f"{self.path}: what was taken at {record.captured_utc} cannot be kept: {error}"
+            raise StoreError(msg) from error
+        with self._write() as session:
+            session.add(row)
+
+    def undate(self, record: MeasurementRecord) -> None:
+        """Turn a row into an undated pair, as the record says: its time is known to be wrong."""
+        with self._write() as session:
+            session.delete(self._row(session, record.slot_utc))
+            session.add(undated.undated_row(record))
+
+    def undated(self, boot_id: str | None = None) -> list[tuple[int, MeasurementRecord]]:
+        """What waits for its slot, of one boot if given: ids and records as taken, in order."""
+        with self._read() as session:
+            return undated.undated_records(session, boot_id)
+
+    def date(self, undated_id: int, record: MeasurementRecord) -> None:
+        """Write the row of an undated pair whose slot is known now. Raises as add_measurement."""
+        with self._write() as session:
+            self._add(session, record)
+            undated.forget(session, undated_id)
+
+    def move_row(self, from_slot_utc: datetime, record: MeasurementRecord) -> None:
+        """Give a row that a wrong clock had dated its true slot; all else in it stays.
+
+        Its `redated_from_utc` keeps the slot that it had first. Raises SlotTakenError, and
+        StoreError when no row is there.
+        """
+        with self._write() as session:
+            row = self._row(session, from_slot_utc)
+            if row is None:
+                msg = f"{self.path}: slot {slot_text(from_slot_utc)} has no row"
+                raise StoreError(msg)
+            self._require_free(session, record.slot_utc)
+            gap_runs.release(session, record.slot_utc)
+            row.slot_utc, row.captured_utc = record.slot_utc, record.captured_utc
+            row.main_frame, row.sub_frame = record.main_frame, record.sub_frame
+            row.redated_from_utc = record.redated_from_utc
+
+    def unsynchronised_rows(self, boot_id: str) -> list[MeasurementRecord]:
+        """The rows that a boot took while nothing disciplined the clock, in order."""
+        row = MeasurementRow
+        query = select(row).where(row.boot_id == boot_id, row.clock_synchronised.is_(False))
+        with self._read() as session:
+            return [measurement_record(found) for found in session.scalars(query.order_by(row.id))]
+
+    def moved_from(self, since: datetime = ALWAYS) -> set[datetime]:
+        """Slots, from `since` on, whose row was moved to another: their frames belong to that."""
+        column = MeasurementRow.redated_from_utc
+        with self._read() as session:
+            found = session.scalars(select(column).where(column >= gap_runs.next_second(since)))
+            return {slot for slot in found if slot is not None}
+
+    def cut_gaps_after(self, slot_utc: datetime) -> None:
+        """Cut gaps short that go on beyond a slot: a clock that was ahead had put them there."""
+        with self._write() as session:
+            gap_runs.release_after(session, slot_utc)
+
+    def blame(
+        self, since: datetime, last: datetime, old: GapCause, new: GapCause, detail: str
+    ) -> None:
+        """Give the missed slots from `since` to `last` another cause than the one they have."""
+        with self._write() as session:
+            gap_runs.blame(session, since, last, old, new, detail)
 
     # Gaps
 
@@ -346,13 +413,17 @@ class Store:
 
     def set_mark(self, mark: Mark, value: str | None) -> None:
         """Set a mark, or remove it with None."""
+        self.set_marks({mark: value})
+
+    def set_marks(self, marks: Mapping[Mark, str | None]) -> None:
+        """Set or remove several marks at once."""
         with self._write() as session:
-            row = session.get(MarkRow, mark.value)
-            if value is None:
-                if row is not None:
+            for mark, value in marks.items():
+                row = session.get(MarkRow, mark.value)
+                if value is not None:
+                    session.merge(MarkRow(name=mark.value, value=value))
+                elif row is not None:
                     session.delete(row)
-            else:
-                session.merge(MarkRow(name=mark.value, value=value))
 
     def get_mark(self, mark: Mark) -> str | None:
         """A mark's value, None if not set."""
@@ -390,6 +461,21 @@ class Store:
     def _write(self) -> Iterator[Session]:
         with sqlite.translated(self.path), CheckedSession(self._writer) as session, session.begin():
             yield session
+
+    def _add(self, session: Session, record: MeasurementRecord) -> None:
+        try:
+            row = measurement_row(record)
+        except ValueError as error:
+            msg = f"{self.path}: slot {slot_text(record.slot_utc)} cannot be stored: {error}"
+            raise StoreError(msg) from error
+        self._require_free(session, record.slot_utc)
+        gap_runs.release(session, record.slot_utc)
+        session.add(row)
+
+    def _require_free(self, session: Session, slot_utc: datetime) -> None:
+        if self._row(session, slot_utc) is not None:
+            msg = f"{self.path}: slot {slot_text(slot_utc)} has a row already"
+            raise SlotTakenError(msg)
 
     def _row(self, session: Session, slot_utc: datetime) -> MeasurementRow | None:
         query = select(MeasurementRow).where(MeasurementRow.slot_utc == slot_utc)

@@ -85,6 +85,14 @@ def mend(directory: Path) -> list[datetime]:
     return _rewrite(directory, [])
 
 
+def strike(directory: Path, slot_utc: datetime) -> None:
+    """Take a slot's lines out of a day's table, durably. Raises OSError."""
+    rows = _readable_rows(directory)
+    kept = [row for row in rows if row.slot_utc != slot_utc]
+    if len(kept) < len(rows):
+        write_table(directory, kept)
+
+
 def cut_torn_end(path: Path) -> None:
     """Cut what a power cut left of a line after the last complete one. Raises OSError."""
     with path.open("r+b") as file:

@@ -78,7 +78,7 @@ class FrameArchive:
 
         Raises SlotTakenError when the slot has that pair, DiskFullError, ArchiveError.
         """
-        stored = self._place(slot_utc, number)
+        stored = self.place(slot_utc, number)
         main, sub = self.state / stored.main_path, self.state / stored.sub_path
         if main.exists() and sub.exists():
             msg = f"{main}: slot {slot_text(slot_utc)} has a pair already"
@@ -87,7 +87,7 @@ class FrameArchive:
         sub_data = encode_png(pair.sub.pixels, pair.sub.bits)
         known = _extra(pair, captured_utc, sha256(main_data), sha256(sub_data))
         known[BURST] = str(number)
-        with _translated(main.parent):
+        with translated(main.parent):
             make_directory_durable(main.parent)
             write_durable(main, main_data)
             write_durable(sub, sub_data)
@@ -100,7 +100,7 @@ class FrameArchive:
 
         Raises FrameSetError when an image is missing, damaged, or not the one that was stored.
         """
-        stored = self._place(slot_utc, number)
+        stored = self.place(slot_utc, number)
         main, sub = self.state / stored.main_path, self.state / stored.sub_path
         try:
             known = find(main.parent, slot_utc, number) or {}
@@ -124,7 +124,7 @@ class FrameArchive:
 
         Raises ArchiveError.
         """
-        with _translated(self.directory):
+        with translated(self.directory):
             found = (slot for day in self._days(since) for slot, _ in pairs(day))
             return list(dict.fromkeys(slot for slot in found if slot >= since))
 
@@ -133,9 +133,9 @@ class FrameArchive:
 
         Raises ArchiveError.
         """
-        day = (self.state / self._place(slot_utc, 1).main_path).parent
+        day = (self.state / self.place(slot_utc, 1).main_path).parent
         stem = image_names(slot_utc.astimezone(UTC))[0].removesuffix("main.png")
-        with _translated(day):
+        with translated(day):
             names = {path.name for path in day.glob(f"{stem}*.png")}
         return [
             number
@@ -154,12 +154,13 @@ class FrameArchive:
         Raises DiskFullError, ArchiveError.
         """
         entered: list[datetime] = []
-        with _translated(self.directory):
+        with translated(self.directory):
             for day in self._days(since):
                 entered += mend(day)
         return entered
 
-    def _place(self, slot_utc: datetime, number: int) -> StoredPair:
+    def place(self, slot_utc: datetime, number: int) -> StoredPair:
+        """Where a pair lies, or would."""
         main, sub = image_names(slot_utc.astimezone(UTC), number)
         folder = f"{FOLDER}/{slot_utc.astimezone(UTC):%Y/%m/%d}"
         return StoredPair(slot_utc, f"{folder}/{main}", f"{folder}/{sub}")
@@ -237,7 +238,8 @@ def _is_date(name: str) -> bool:
 
 
 @contextmanager
-def _translated(directory: Path) -> Iterator[None]:
+def translated(directory: Path) -> Iterator[None]:
+    """Turn the system's errors into the archive's, which say what to do."""
     try:
         yield
     except OSError as error:

@@ -6,7 +6,8 @@ overlap are the language's own.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from bisect import bisect_left, bisect_right
+from collections.abc import Collection, Iterator, Sequence
 from datetime import datetime, timedelta
 from itertools import pairwise
 
@@ -92,6 +93,37 @@ def release(session: Session, slot_utc: datetime) -> None:
             rests = without(slots, [slot])
             session.add_all(_row(run, gap.cause, gap.detail) for run in rests)
             session.flush()
+
+
+def release_after(session: Session, slot_utc: datetime) -> None:
+    """Cut gaps short that go on beyond a slot: a clock that was ahead had put them there."""
+    last = unix_s(slot_utc)
+    for gap in session.scalars(select(GapRow).where(GapRow.end_utc > slot_utc)):
+        slots = run_of(gap)
+        kept = range(slots.start, min(slots.stop, last + 1), slots.step)
+        _replace(session, gap, [(kept, gap.cause, gap.detail)])
+
+
+def blame(
+    session: Session, since: datetime, last: datetime, old: GapCause, new: GapCause, detail: str
+) -> None:
+    """Give the slots from `since` to `last` that lie in gaps of the old cause the new one."""
+    for gap in gaps_touching(session, since, last):
+        if gap.cause is not old:
+            continue
+        slots = run_of(gap)
+        first = bisect_left(slots, unix_s(since))
+        end = bisect_right(slots, unix_s(last))
+        parts = [slots[:first], slots[first:end], slots[end:]]
+        causes = [(old, gap.detail), (new, detail), (old, gap.detail)]
+        _replace(session, gap, [(part, *why) for part, why in zip(parts, causes, strict=True)])
+
+
+def _replace(session: Session, gap: GapRow, parts: Sequence[tuple[range, GapCause, str]]) -> None:
+    session.execute(delete(GapRow).where(GapRow.id == gap.id))
+    session.flush()
+    session.add_all(_row(run, cause, detail) for run, cause, detail in parts if run)
+    session.flush()
 
 
 def gaps_touching(session: Session, first: datetime, last: datetime) -> list[GapRow]:

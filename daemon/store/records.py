@@ -42,6 +42,10 @@ class Mark(StrEnum):
     HEARTBEAT_UTC = "heartbeat_utc"
     CLEAN_STOP_UTC = "clean_stop_utc"
     BOOT_ID = "boot_id"
+    ABSENCE = "absence"
+    """JSON: why there was no daemon before this boot; for a clock that is put right later."""
+    MOVING_TO_UTC = "moving_to_utc"
+    """The slot whose frames are on their way from where a wrong clock had put them."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,7 @@ from daemon.store.database import open_store
 from daemon.store.frames import FrameArchive
 from drivers.clock import SteppedClock
 from drivers.protocols import CapturedFrame, CapturedPair
+from tests.daemon.times import minute_of
 
 START = datetime(2026, 3, 1, 11, 59, 30, tzinfo=UTC)
 SIZE = (48, 64)
@@ -118,14 +119,22 @@ class Station:
         ]
 
 
-def minute_of(slot: datetime) -> int:
-    minutes, rest = divmod((slot - datetime(2026, 3, 1, 12, tzinfo=UTC)).total_seconds(), 60)
-    assert rest == 0
-    return int(minutes)
-
-
 @pytest.fixture
 def station(tmp_path: Path):
     station = Station(tmp_path / "state")
     yield station
     station.store.close()
+
+
+@pytest.fixture
+def make_station(tmp_path: Path):
+    """Several sites in one test, each with a state directory of its own."""
+    made: list[Station] = []
+
+    def make() -> Station:
+        made.append(Station(tmp_path / f"state-{len(made)}"))
+        return made[-1]
+
+    yield make
+    for station in made:
+        station.store.close()

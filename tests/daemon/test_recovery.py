@@ -1,18 +1,14 @@
 """After an absence the time is accounted for by its cause, and what was left is measured."""
 
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 
 import pytest
 
 from core.results import Reason
 from daemon.pipeline import record_late
 from daemon.recovery import mark_stop, recover
-from daemon.store.records import Mark
 from drivers.frameset import read_frame_set
-
-
-def slot(minute: int) -> datetime:
-    return datetime(2026, 3, 1, 12, tzinfo=UTC) + timedelta(minutes=minute)
+from tests.daemon.times import slot
 
 
 def leave_frames(station, minute: int) -> None:
@@ -132,15 +128,6 @@ def test_row_taken_by_hand_in_between_hides_no_missed_slot(station) -> None:
     station.run(1)
     assert station.minutes() == [0, 1, 4, 6]
     assert station.gaps() == [(2, 3, "stopped"), (5, 5, "stopped")]
-
-
-def test_start_with_a_clock_in_the_past_touches_nothing_and_waits(station) -> None:
-    station.run(2)
-    station.clock.set_utc(slot(-100_000))
-    station.run(1)
-    assert station.minutes() == [0, 1, 2]
-    assert station.gaps() == []
-    assert datetime.fromisoformat(station.store.get_mark(Mark.HEARTBEAT_UTC)) == slot(2)
 
 
 def test_other_period_after_a_restart_goes_on_with_its_own_grid(station) -> None:

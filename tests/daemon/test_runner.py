@@ -1,7 +1,5 @@
 """Every slot ends as a row or in a gap with its cause, whatever camera, clock and disk do."""
 
-from datetime import timedelta
-
 import pytest
 
 from core.results import Flag, Reason
@@ -56,40 +54,6 @@ def test_slot_that_is_barely_late_is_taken(station) -> None:
     station.run(3, {1: lambda: station.clock.advance(61)})
     assert station.minutes() == [0, 1, 2]
     assert station.gaps() == []
-
-
-def test_clock_stepped_forward_leaves_a_gap_that_says_so(station) -> None:
-    later = timedelta(minutes=10)
-    station.run(3, {1: lambda: station.clock.set_utc(station.clock.now_utc() + later)})
-    assert station.minutes() == [0, 1, 11]
-    assert station.gaps() == [(2, 10, "clock_wrong")]
-    assert "stepped by +600 s" in station.store.gaps()[0].detail
-
-
-def test_clock_stepped_back_takes_no_slot_twice(station) -> None:
-    earlier = timedelta(days=300)
-    station.run(4, {2: lambda: station.clock.set_utc(station.clock.now_utc() - earlier)})
-    assert station.source.captures == sorted(set(station.source.captures))
-    assert station.minutes() == [0, 1, 2, 3]
-
-
-def test_clock_that_comes_back_right_explains_the_time_between(station) -> None:
-    """The clock falls back by a day; ten minutes later it is put right again."""
-    day = timedelta(days=1)
-    wait_until = station.clock.wait_until
-
-    def waits(when, stop):
-        if station.clock.now_utc() < when - timedelta(hours=1):
-            station.clock.advance(600)
-            station.clock.set_utc(station.clock.now_utc() + day)
-            return not stop.is_set()
-        return wait_until(when, stop)
-
-    station.clock.wait_until = waits
-    station.run(3, {1: lambda: station.clock.set_utc(station.clock.now_utc() - day)})
-    assert station.minutes() == [0, 1, 11]
-    assert station.gaps() == [(2, 10, "clock_wrong")]
-    assert "stepped by -86400 s" in station.store.gaps()[0].detail
 
 
 @pytest.mark.parametrize("error", [DiskFullError("disk full"), ArchiveError("read-only")])

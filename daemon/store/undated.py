@@ -1,0 +1,60 @@
+"""Pairs measured while the clock was wrong: kept whole, until their slots are known."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session
+
+from daemon.store.convert import measurement_columns, measurement_record
+from daemon.store.records import MeasurementRecord
+from daemon.store.schema import MeasurementRow, UndatedRow, instant_text
+
+_TIMES = ("slot_utc", "captured_utc", "redated_from_utc")
+
+
+def undated_row(record: MeasurementRecord) -> UndatedRow:
+    """The row of a record that was taken by this machine.
+
+    Raises ValueError for a value that is not finite, or a record that does not know its boot.
+    """
+    if record.boot_id is None or record.uptime_s is None or record.captured_utc is None:
+        msg = "a pair without its time since the boot could never be dated"
+        raise ValueError(msg)
+    columns = {name: _plain(value) for name, value in measurement_columns(record).items()}
+    return UndatedRow(
+        boot_id=record.boot_id,
+        uptime_s=record.uptime_s,
+        clock_utc=record.captured_utc,
+        content=json.dumps(columns, allow_nan=False, separators=(",", ":")),
+    )
+
+
+def undated_records(session: Session, boot_id: str | None) -> list[tuple[int, MeasurementRecord]]:
+    """Ids and records, of one boot if given, in the order in which they were taken."""
+    query = select(UndatedRow).order_by(UndatedRow.id)
+    if boot_id is not None:
+        query = query.where(UndatedRow.boot_id == boot_id)
+    return [(row.id, _record(row)) for row in session.scalars(query)]
+
+
+def forget(session: Session, undated_id: int) -> None:
+    """Take one out, in the transaction that gives it its slot."""
+    session.execute(delete(UndatedRow).where(UndatedRow.id == undated_id))
+
+
+def _record(row: UndatedRow) -> MeasurementRecord:
+    columns: dict[str, Any] = json.loads(row.content)
+    empty = dict.fromkeys(column.name for column in MeasurementRow.__table__.columns)
+    del empty["id"]
+    for name in _TIMES:
+        if columns[name] is not None:
+            columns[name] = datetime.fromisoformat(columns[name])
+    return measurement_record(MeasurementRow(**(empty | columns)))
+
+
+def _plain(value: object) -> object:
+    return instant_text(value) if isinstance(value, datetime) else value
