@@ -190,6 +190,7 @@ class SimulationSection(Section):
     vibration_mrad: float = Field(default=0.05, ge=0, le=10.0)
     ramp_min: float = Field(default=10.0, ge=0)
     night_light: float = Field(default=0.005, ge=0, le=1.0)
+    dusk_min: float = Field(default=0.0, ge=0)
     haze_mm: float = Field(default=0.3, ge=0, le=100.0)
     as_built_scale: float = Field(default=1.0, ge=0, le=10.0)
     noise: bool = True
@@ -212,7 +213,9 @@ class SimulationSection(Section):
                 ramp_min=self.ramp_min,
             ),
             as_built=AsBuilt(scale=self.as_built_scale),
-            optics=Optics(night_light=self.night_light, haze_mm=self.haze_mm),
+            optics=Optics(
+                night_light=self.night_light, dusk_min=self.dusk_min, haze_mm=self.haze_mm
+            ),
             sensor=Sensor(noise=self.noise),
         )
 

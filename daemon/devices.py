@@ -133,8 +133,13 @@ def open_simulated_rig(config: Config, clock: Clock) -> SimulatedRig:
             raise _wrong(config, "simulation.head_angles", problem)
         head = open_head(config)
         world.follow_head(_from_home(AnglesAsker(config.simulation.head_angles), config))
+    serials = {role: config.camera.of(role).serial or "" for role in _ROLES}
+    lights = {role: camera_settings(config, role) for role in _ROLES}
     main, sub = (
-        SimulatedCamera(world, role, clock, config.camera.of(role).serial or "") for role in _ROLES
+        SimulatedCamera(
+            world, role, clock, serials[role], lights[role].exposure_us, lights[role].gain_db
+        )
+        for role in _ROLES
     )
     return SimulatedRig(world, _pair(main, sub, config, clock), head)
 

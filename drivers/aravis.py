@@ -71,6 +71,14 @@ class AravisCamera:
             raise
         _log.info("camera_opened", serial=self._serial, role=self._role)
 
+    def set_exposure(self, exposure_us: float, gain_db: float | None) -> None:
+        """Expose the next frames so, as far as the camera can."""
+        self._call(
+            "set the exposure",
+            lambda session: session.set_exposure(exposure_us, gain_db),
+            self._settings.command_timeout_s,
+        )
+
     def arm(self) -> None:
         """Throw away stale frames, so that the next frame is the one triggered next."""
         self._call("arm", Session.arm, self._settings.command_timeout_s)

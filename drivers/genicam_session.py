@@ -22,7 +22,12 @@ from drivers.genicam_device import (
     NoAnswerError,
     NodeRefusedError,
 )
-from drivers.genicam_setup import Applied, apply_settings, read_temperature_c
+from drivers.genicam_setup import (
+    Applied,
+    apply_settings,
+    change_exposure,
+    read_temperature_c,
+)
 from drivers.protocols import CameraSettings, CapturedFrame, Image
 
 _log = structlog.get_logger("dcam.drivers")
@@ -59,6 +64,13 @@ class Session:
             self._applied = apply_settings(self._device.features, self._serial, self._settings)
             self._device.open_stream(self._settings)
             self._start_acquisition()
+
+    def set_exposure(self, exposure_us: float, gain_db: float | None) -> None:
+        """Change exposure and gain, as far as the camera can; its frames tell what came of it."""
+        with self._connection("set the exposure"):
+            self._applied = change_exposure(
+                self._device.features, self._serial, exposure_us, gain_db
+            )
 
     def arm(self) -> None:
         """Drop what nobody waits for any more, and read the temperature."""

@@ -21,6 +21,9 @@ DEFAULT_EXPOSURE_US = 5000.0
 READBACK_TOLERANCE = 0.01
 """A camera rounds exposure and gain to its own steps; more than this share is worth a line."""
 
+_EXPOSURE_NAMES = ("ExposureTime", "ExposureTimeAbs")
+_GAIN_NAMES = ("Gain", "GainAbs")
+
 # What would change grey values or geometry behind our back, in the order it must be switched off.
 _NEUTRAL: tuple[tuple[str, Value], ...] = (
     ("ExposureAuto", "Off"),
@@ -76,6 +79,35 @@ def apply_settings(features: Features, serial: str, settings: CameraSettings) ->
     return Applied(exposure_us, gain_db)
 
 
+def change_exposure(
+    features: Features, serial: str, exposure_us: float, gain_db: float | None
+) -> Applied:
+    """Set exposure and gain (None: leave it) within the camera's limits; give what it has then.
+
+    A refusal is worth a warning, not a slot: the frame is taken with what the camera has. Raises
+    NoAnswerError, NodeRefusedError when it does not even tell.
+    """
+    writer = _Writer(features, serial)
+    return Applied(
+        _changed(writer, writer.first(*_EXPOSURE_NAMES), exposure_us, "us"),
+        _changed(writer, writer.first(*_GAIN_NAMES), gain_db, "dB"),
+    )
+
+
+def _changed(writer: _Writer, name: str | None, value: float | None, unit: str) -> float | None:
+    """Set a number if there is one, brought within its limits; give what the camera has."""
+    if name is None:
+        return None
+    if value is not None:
+        low, high = writer.features.limits(name)
+        within = min(max(value, low), high)
+        try:
+            return writer.set_float(name, within, unit, fallback=within)
+        except SettingRefusedError as error:
+            _log.warning("camera_setting_not_applied", reason=str(error))
+    return float(writer.features.read(name))
+
+
 def read_temperature_c(features: Features) -> float | None:
     """The camera's own temperature, if it tells one."""
     if not features.has("DeviceTemperature"):
@@ -98,7 +130,7 @@ def _require_features(features: Features, serial: str, settings: CameraSettings)
     if settings.trigger is None:
         wanted.append(("TriggerSoftware",))
     if settings.exposure_us is not None:
-        wanted.append(("ExposureTime", "ExposureTimeAbs"))
+        wanted.append(_EXPOSURE_NAMES)
     lacks = [names[0] for names in wanted if not any(features.has(name) for name in names)]
     if lacks:
         msg = (
@@ -122,7 +154,7 @@ def _set_region(writer: _Writer, settings: CameraSettings) -> None:
 
 
 def _set_exposure(writer: _Writer, exposure_us: float | None) -> float | None:
-    name = writer.first("ExposureTime", "ExposureTimeAbs")
+    name = writer.first(*_EXPOSURE_NAMES)
     if name is None:
         return None
     return writer.set_float(name, exposure_us, "us", fallback=DEFAULT_EXPOSURE_US)
@@ -130,7 +162,7 @@ def _set_exposure(writer: _Writer, exposure_us: float | None) -> float | None:
 
 def _set_gain(writer: _Writer, gain_db: float | None) -> float | None:
     writer.set_if_there("GainSelector", "All")
-    name = writer.first("Gain", "GainAbs")
+    name = writer.first(*_GAIN_NAMES)
     if name is not None:
         return writer.set_float(name, gain_db, "dB", fallback=float("-inf"))
     if gain_db is not None:

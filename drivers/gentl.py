@@ -110,6 +110,10 @@ class GentlCamera:
             raise
         _log.info("camera_opened", serial=self._serial, role=self._role)
 
+    def set_exposure(self, exposure_us: float, gain_db: float | None) -> None:
+        """Expose the next frames so, as far as the camera can."""
+        self._call("set_exposure", self._settings.command_timeout_s, exposure_us, gain_db)
+
     def arm(self) -> None:
         """Throw away stale frames, so that the next frame is the one triggered next."""
         self._call("arm", self._settings.command_timeout_s)
@@ -134,7 +138,7 @@ class GentlCamera:
                 _log.info("camera_released", serial=self._serial, reason=str(error))
         self._discard()
 
-    def _call(self, name: str, timeout_s: float, *arguments: float) -> object:
+    def _call(self, name: str, timeout_s: float, *arguments: float | None) -> object:
         worker = self._worker
         if worker is None:
             msg = f"camera {self._serial}: not open"

@@ -24,7 +24,7 @@ class Call:
     """One call of the session's."""
 
     name: str
-    arguments: tuple[float, ...]
+    arguments: tuple[float | None, ...]
     deadline_s: float
 
 

@@ -66,6 +66,10 @@ class SynchronizedPair:
         """Open and arm both cameras. Raises DeviceError, within `open_timeout_s`."""
         self._both(_Lane.ready, "opening", self._open_timeout_s)
 
+    def set_exposure(self, role: Role, exposure_us: float, gain_db: float | None) -> None:
+        """Have a camera expose so from the next frame on, also after it was opened anew."""
+        self._lanes[role == "sub"].expose(exposure_us, gain_db)
+
     def capture(self, slot_utc: datetime) -> CapturedPair:
         """Take both frames now.
 
@@ -136,6 +140,10 @@ class _Lane:
         self._thread: DeadlineThread | None = None
         self._left_behind: DeadlineThread | None = None
         self._open = False
+        self._wanted: tuple[float, float | None] | None = None
+        """Exposure and gain; None: those that the camera is opened with."""
+        self._set: tuple[float, float | None] | None = None
+        """The wish that the open camera knows of."""
         self._failures = 0
         self._pause_s = 0.0
         self._not_before_s = 0.0
@@ -144,10 +152,14 @@ class _Lane:
     # ------------------------------------------------------------ in the camera's thread
 
     def ready(self) -> None:
-        """Open the camera if need be, and arm it."""
+        """Open the camera if need be, tell it its exposure if that changed, and arm it."""
         if not self._open:
             self._camera.open()
-            self._open = True
+            self._open, self._set = True, None
+        wanted = self._wanted
+        if wanted is not None and wanted != self._set:
+            self._camera.set_exposure(*wanted)
+            self._set = wanted
         self._camera.arm()
 
     def shoot(self, meeting: threading.Barrier, timeout_s: float) -> CapturedFrame:
@@ -161,6 +173,10 @@ class _Lane:
         return self._camera.fetch(timeout_s)
 
     # ------------------------------------------------------------ in the caller's thread
+
+    def expose(self, exposure_us: float, gain_db: float | None) -> None:
+        """Note how the next frames are to be exposed."""
+        self._wanted = exposure_us, gain_db
 
     def start(self, step: Callable[[_Lane], _T]) -> Future[_T]:
         """Begin a step. Raises DeviceLostError at once while the camera is not to be touched."""

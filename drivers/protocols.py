@@ -106,6 +106,14 @@ class Camera(Protocol):
         """Find the camera by serial, apply the settings, read them back, start acquisition."""
         ...
 
+    def set_exposure(self, exposure_us: float, gain_db: float | None) -> None:
+        """Expose the next frames so, until `close`; brought within what the camera can.
+
+        gain_db None leaves the gain as it is. A camera that refuses keeps what it has; the frames
+        say what that is.
+        """
+        ...
+
     def arm(self) -> None:
         """Throw away stale frames, so that the next frame is the one triggered next."""
         ...
@@ -130,6 +138,14 @@ class FramePairSource(Protocol):
         """Open both cameras ahead of the first slot, so that it is taken in time.
 
         Raises `drivers.errors.DeviceError`; the slots are tried all the same.
+        """
+        ...
+
+    def set_exposure(self, role: Role, exposure_us: float, gain_db: float | None) -> None:
+        """Have a camera expose so from the next `capture` on, also after it was opened anew.
+
+        Only notes the wish, and never fails. Frames tell what came of it; a source whose frames
+        are long taken ignores it.
         """
         ...
 

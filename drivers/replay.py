@@ -56,6 +56,9 @@ class ReplaySource:
     def prepare(self) -> None:
         """Open nothing: the table has been read."""
 
+    def set_exposure(self, role: Role, exposure_us: float, gain_db: float | None) -> None:
+        """Change nothing: the frames are taken."""
+
     def close(self) -> None:
         """Release nothing."""
 

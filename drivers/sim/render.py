@@ -36,6 +36,19 @@ class Look:
     """Direction in which the light grows."""
 
 
+@dataclass(frozen=True, slots=True)
+class Exposed:
+    """How a frame is exposed."""
+
+    time: float = 1.0
+    """In exposures for which the scene's grey values are given."""
+    gain: float = 1.0
+    """Of the amplifier between the sensor and its numbers: noise grows with it."""
+
+
+ORDINARY = Exposed()
+
+
 class CameraRenderer:
     """One camera's lens and sensor; all that does not change is computed once."""
 
@@ -131,17 +144,29 @@ class CameraRenderer:
         reflectance *= self._light * np.float32(light)
         return reflectance
 
-    def expose(self, radiance: Float32Array, pedestal: float, rng: np.random.Generator) -> Image:
-        """Blur towards the corners, count electrons, add noise, quantise: (height, width) DN."""
+    def expose(
+        self,
+        radiance: Float32Array,
+        pedestal: float,
+        rng: np.random.Generator,
+        exposed: Exposed = ORDINARY,
+    ) -> Image:
+        """Blur towards the corners, count electrons, add noise, quantise: (height, width) DN.
+
+        Electrons beyond the full well are lost, whatever the gain.
+        """
         image = self._blurred(radiance)[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX]
         sensor = self._sensor
         top = float(2**sensor.bits - 1)
+        image *= np.float32(exposed.time)
         if sensor.noise:
             noise = rng.standard_normal(image.shape, np.float32)
             variance = np.maximum(image, 0.0) * np.float32(1.0 / sensor.full_well_e)
             variance += np.float32((sensor.read_noise_e / sensor.full_well_e) ** 2)
             noise *= np.sqrt(variance, out=variance)
             image += noise
+        np.minimum(image, np.float32(1.0), out=image)
+        image *= np.float32(exposed.gain)
         image += np.float32(pedestal)
         image *= np.float32(top)
         dn = np.clip(np.rint(image, out=image), 0.0, top, out=image)

@@ -127,6 +127,8 @@ class Optics:
     """Amplitude of the slow change of the light."""
     night_light: float = 0.005
     """What is left of the light at night."""
+    dusk_min: float = 0.0
+    """How long the light takes to fall at the beginning of a night, and to come at its end."""
     haze_mm: float = 0.3
     """1 sigma of how far `haze` moves the main target's image along each axis, at the target;
     single discs move by a third of it against each other."""

@@ -22,7 +22,7 @@ from drivers.sim.effects import (
 )
 from drivers.sim.geometry import TrueGeometry, build_geometry, held_board_pose
 from drivers.sim.motion import TrueMotion
-from drivers.sim.render import CameraRenderer, Look
+from drivers.sim.render import ORDINARY, CameraRenderer, Exposed, Look
 from drivers.sim.settings import DISTURBANCES, Scenario, ScenarioKind, SimSettings
 
 PLATE_MARGIN = 1.75
@@ -171,7 +171,11 @@ class World:
     # ------------------------------------------------------------------ what the cameras see
 
     def render(
-        self, role: Role, t_utc: datetime, head_deg: tuple[float, float] | None = None
+        self,
+        role: Role,
+        t_utc: datetime,
+        head_deg: tuple[float, float] | None = None,
+        exposed: Exposed = ORDINARY,
     ) -> Image:
         """Render one camera's image; the same instant gives the same image, noise and all.
 
@@ -207,7 +211,7 @@ class World:
         lit = renderer.lit(image, self._light(role, t_utc))
         if self.active("glare", t_utc, role):
             draw_glare(lit, rng)
-        return renderer.expose(lit, optics.pedestal, rng)
+        return renderer.expose(lit, optics.pedestal, rng, exposed)
 
     # ------------------------------------------------------------------ inside
 
@@ -255,10 +259,25 @@ class World:
 
     def _light(self, role: Role, t_utc: datetime) -> float:
         optics = self.settings.optics
-        if self.active("night", t_utc, role):
-            return optics.night_light
+        dark = self._darkness(t_utc, role)
+        if dark > 0.0:
+            return float(optics.night_light**dark)
         phase = 0.3 * self.settings.seed + (1.0 if role == "main" else 0.0)
         return 1.0 + optics.light_change * math.sin(self._minute(t_utc) / 37.0 + phase)
+
+    def _darkness(self, t_utc: datetime, role: Role) -> float:
+        """How far the night has come: 0 is day, 1 night; the light falls by its share of a power.
+
+        A lamp that fails takes no time; the sun takes `dusk_min` to set and to rise.
+        """
+        minute, dusk_min = self._minute(t_utc), self.settings.optics.dusk_min
+        deepest = 0.0
+        for scenario in self.settings.scenarios:
+            inside = scenario.minutes_inside(minute)
+            if scenario.kind != "night" or inside is None or not _strikes(scenario, role):
+                continue
+            deepest = max(deepest, min(1.0, *(m / dusk_min for m in inside)) if dusk_min else 1.0)
+        return deepest
 
     def _insect_px(self, role: Role) -> float:
         """Length of an insect: a disc and a half, or five squares of the board."""

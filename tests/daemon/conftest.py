@@ -55,6 +55,9 @@ class ToldSource:
     def prepare(self) -> None:
         pass
 
+    def set_exposure(self, role: str, exposure_us: float, gain_db: float | None) -> None:
+        pass
+
     def capture(self, slot_utc: datetime) -> CapturedPair:
         number = len(self.captures)
         self.captures.append(slot_utc)

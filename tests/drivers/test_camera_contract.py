@@ -103,8 +103,8 @@ def simulated() -> Bench:
         return next((index for index, match in enumerate(matches) if match), None)
 
     return Bench(
-        SimulatedCamera(world, "main", clock, SERIAL),
-        CameraSettings(world.site.main.width_px, world.site.main.height_px, 2000.0, 0.0),
+        SimulatedCamera(world, "main", clock, SERIAL, 5000.0, 0.0),
+        CameraSettings(world.site.main.width_px, world.site.main.height_px, 5000.0, 0.0),
         image_shown,
         next_scene=go_to,
         take_away=lambda: go_to(105),
@@ -134,6 +134,26 @@ def test_frames_are_exact_new_and_dated(bench: Bench) -> None:
         assert next_one.trigger_monotonic_s > one.trigger_monotonic_s
 
 
+def test_exposure_and_gain_change_between_frames_within_what_the_camera_can(bench: Bench) -> None:
+    """Told by the frames, kept from frame to frame, and forgotten by a camera that is closed."""
+    bench.camera.open()
+    bench.shoot(1)
+    seen = []
+    for n, wanted in enumerate([(2500.0, 6.0), (1e-3, -99.0), (1000.0, None), None], start=2):
+        if wanted is not None:
+            bench.camera.set_exposure(*wanted)
+        frame = bench.shoot(n)
+        seen.append((frame.exposure_us, frame.gain_db))
+    assert seen == [(2500.0, 6.0), (4.83, 0.0), (1000.0, 0.0), (1000.0, 0.0)]
+    bench.camera.close()
+    bench.camera.open()
+    frame = bench.shoot(6)
+    assert (frame.exposure_us, frame.gain_db) == (
+        bench.settings.exposure_us,
+        bench.settings.gain_db,
+    )
+
+
 def test_a_frame_nobody_fetched_is_not_taken_for_the_next(bench: Bench) -> None:
     bench.camera.open()
     bench.shoot(1)
@@ -154,7 +174,12 @@ def test_without_a_trigger_there_is_no_frame_and_the_wait_is_bounded(bench: Benc
 
 
 def test_a_camera_that_is_not_open_says_so(bench: Bench) -> None:
-    for call in (bench.camera.arm, bench.camera.trigger, lambda: bench.camera.fetch(0.1)):
+    for call in (
+        bench.camera.arm,
+        bench.camera.trigger,
+        lambda: bench.camera.fetch(0.1),
+        lambda: bench.camera.set_exposure(1000.0, None),
+    ):
         with pytest.raises(DeviceLostError, match=bench.camera.serial):
             call()
 

@@ -30,6 +30,7 @@ class FakeCamera:
         self.serial = serial
         self.trigger_s = trigger_s
         self.calls: list[str] = []
+        self.exposures: list[tuple[float, float | None]] = []
         self.threads: set[int] = set()
         self.on: dict[str, Callable[[], None]] = {}
 
@@ -40,6 +41,10 @@ class FakeCamera:
 
     def open(self) -> None:
         self._called("open")
+
+    def set_exposure(self, exposure_us: float, gain_db: float | None) -> None:
+        self.exposures.append((exposure_us, gain_db))
+        self._called("set_exposure")
 
     def arm(self) -> None:
         self._called("arm")
@@ -96,6 +101,26 @@ def test_both_are_armed_then_triggered_from_two_threads(rig: Rig) -> None:
     assert threading.get_ident() not in rig.main.threads | rig.sub.threads
     rig.pair.close()
     assert rig.main.calls[-1] == rig.sub.calls[-1] == "close"
+
+
+def test_an_exposure_is_told_once_before_arming_and_again_to_a_camera_opened_anew(rig: Rig) -> None:
+    rig.pair.set_exposure("sub", 800.0, None)
+    rig.pair.capture(SLOT)
+    rig.pair.set_exposure("sub", 400.0, 6.0)
+    rig.pair.capture(SLOT)
+    rig.pair.capture(SLOT)
+    shot = ["arm", "trigger", "fetch"]
+    assert rig.sub.calls == ["open", "set_exposure", *shot, "set_exposure", *shot, *shot]
+    assert rig.sub.exposures == [(800.0, None), (400.0, 6.0)]
+    rig.sub.on["trigger"] = _raise(DeviceLostError("camera S1: control lost"))
+    rig.fail()
+    del rig.sub.on["trigger"]
+    rig.clock.advance(LAST_BACK_OFF_S)
+    rig.sub.calls.clear()
+    rig.pair.capture(SLOT)
+    assert rig.sub.calls[-5:] == ["open", "set_exposure", *shot]
+    assert rig.sub.exposures[-1] == (400.0, 6.0)
+    assert rig.main.exposures == []
 
 
 def test_triggers_meet(rig: Rig) -> None:

@@ -96,6 +96,43 @@ def test_grey_values_fill_the_bits(bits: int, dtype: type, top: int) -> None:
     assert frame.pixels.min() == pytest.approx(top * 0.04, rel=0.3)
 
 
+def test_a_longer_exposure_and_more_gain_make_it_brighter_and_only_the_exposure_less_noisy() -> (
+    None
+):
+    """Twice the light is twice the grey value above the pedestal; the full well ends it."""
+    world = World(site(), SimSettings(scenarios=()))
+    camera = SimulatedCamera(world, "main", SteppedClock(START), exposure_us=1250.0)
+    camera.open()
+    grey = {}
+    for exposure_us, gain_db in ((1250.0, 0.0), (2500.0, 0.0), (1250.0, 20.0 * np.log10(2.0))):
+        camera.set_exposure(exposure_us, gain_db)
+        camera.trigger()
+        plate = camera.fetch(1.0).pixels[:20, :20].astype(float)  # even light, no edge
+        grey[exposure_us, round(gain_db)] = plate.mean(), plate.std()
+    pedestal = 255.0 * world.settings.optics.pedestal
+    once, longer, amplified = grey.values()
+    assert longer[0] - pedestal == pytest.approx(2.0 * (once[0] - pedestal), rel=0.03)
+    assert amplified[0] == pytest.approx(longer[0], rel=0.03)
+    assert amplified[1] > 1.2 * longer[1] > 1.2 * once[1]
+    camera.set_exposure(1e6, 0.0)
+    camera.trigger()
+    assert camera.fetch(1.0).pixels.min() == 255
+
+
+def test_dusk_takes_its_time() -> None:
+    """Half-way through, the light has fallen to the root of what is left of it at night."""
+    settings = SimSettings(
+        scenarios=(Scenario("night", 100, 200),),
+        optics=Optics(night_light=0.04, dusk_min=40.0, light_change=0.0),
+    )
+    world = World(site(), settings)
+    light = {
+        minute: world._light("main", START + timedelta(minutes=minute))
+        for minute in (99, 120, 140, 159, 180, 200)
+    }
+    assert light == pytest.approx({99: 1.0, 120: 0.2, 140: 0.04, 159: 0.04, 180: 0.2, 200: 1.0})
+
+
 # ------------------------------------------------------------------ weather
 
 
