@@ -27,6 +27,7 @@ COMMANDS = {
     "gaps": "List slots without a measurement, and why.",
     "export": "Write measurements as a table.",
     "backup": "Copy the database while the daemon runs.",
+    "redate": "Put right the times of what was taken under a wrong clock.",
     "reprocess": "Measure kept frames or a frame set again.",
     "simulate": "A simulated pan-tilt head on a serial port.",
     "demo": "The whole system on a simulated rig, against the known truth.",

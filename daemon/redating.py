@@ -102,11 +102,11 @@ def put_right(line: Pipeline, schedule: Schedule) -> Redated:
     undated = line.store.undated(boot_id)
     if not rows and not undated:
         return Redated()
-    done = redate(Books(line.store, line.archive.state, schedule), rows, undated, true_utc)
-    # A clock that was ahead had put gaps into what is the future now.
-    line.store.cut_gaps_after(schedule.last_due(line.clock.now_utc()))
-    if rows:
-        _account_for(line, schedule, min(row.slot_utc for row in rows))
+    books = Books(line.store, line.archive.state, schedule)
+    done = redate(books, rows, undated, true_utc)
+    now_utc = line.clock.now_utc()
+    booted_utc = now_utc - timedelta(seconds=line.machine.uptime_s())
+    account_for_moved(books, rows, now_utc, booted_utc)
     detail = f"{done.dated} undated pairs dated, {done.moved} rows moved, {done.left} left"
     line.store.add_event(line.clock.now_utc(), "redated", detail)
     _log.warning("redated", dated=done.dated, moved=done.moved, left=done.left)
@@ -149,15 +149,32 @@ def finish_moves(line: Pipeline, since: datetime) -> set[datetime]:
     return left | ({datetime.fromisoformat(moving)} if moving else set())
 
 
-def _account_for(line: Pipeline, schedule: Schedule, since: datetime) -> None:
-    """Put slots from `since` on, which rows have left, into gaps: before the boot, and after."""
-    store, now_utc = line.store, line.clock.now_utc()
-    booted_utc = now_utc - timedelta(seconds=line.machine.uptime_s())
-    absence = read_absence(store)
-    missed = schedule.missed_between(since - SECOND, schedule.last_due(now_utc))
-    if missed is None or absence is None:
+def account_for_moved(
+    books: Books,
+    rows: Sequence[MeasurementRecord],
+    now_utc: datetime,
+    booted_utc: datetime | None = None,
+) -> None:
+    """Make the gaps fit rows that have moved: none in the future, and none of the old slots bare.
+
+    Of a clock that was wrong from a boot on, `booted_utc` is when that truly was: what was missed
+    before has the cause of the absence. Raises StoreError.
+    """
+    if not rows:
         return
-    for part, cause, detail in split_at(schedule, missed, booted_utc, absence):
+    store, schedule = books.store, books.schedule
+    due_utc = schedule.last_due(now_utc)
+    store.cut_gaps_after(due_utc)
+    slots = [row.slot_utc for row in rows]
+    end_utc = due_utc if booted_utc else min(due_utc, max(slots) + SECOND)
+    missed = schedule.missed_between(min(slots) - SECOND, end_utc)
+    absence = read_absence(store)
+    if missed is None:
+        return
+    parts = [(missed, GapCause.CLOCK_WRONG, "the clock was wrong")]
+    if absence is not None and booted_utc is not None:
+        parts = list(split_at(schedule, missed, booted_utc, absence))
+    for part, cause, detail in parts:
         if cause is not GapCause.CLOCK_WRONG:
             store.blame(part.first_utc, part.last_utc, GapCause.CLOCK_WRONG, cause, detail)
         store.record_gap(part.first_utc, part.last_utc, cause, detail, period_s=schedule.period_s)
