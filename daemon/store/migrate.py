@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
@@ -73,6 +74,7 @@ def migrate(engine: Engine, path: Path, now_utc: datetime) -> Path | None:
         return None
     saved = None
     if found is not None:
+        _clear_half_copies(path)
         saved = _backup_name(path, found, now_utc)
         backup(path, saved)
     try:
@@ -105,6 +107,13 @@ def _require_known(found: str | None, path: Path) -> None:
             f"{head_revision()}): install that version again, or restore the backup made before it"
         )
         raise DatabaseNewerError(msg)
+
+
+def _clear_half_copies(path: Path) -> None:
+    """Remove what a cut left of an earlier backup: no later one has that name again."""
+    for half in path.parent.glob(f".{path.name}.revision-*.tmp*"):
+        with suppress(OSError):  # the backup, next, says what is wrong with the directory
+            half.unlink()
 
 
 def _backup_name(path: Path, found: str, now_utc: datetime) -> Path:

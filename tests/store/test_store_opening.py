@@ -188,6 +188,16 @@ def test_a_failing_migration_changes_nothing(
         assert store.last_slot() == slot(0)
 
 
+def test_half_a_copy_that_a_cut_left_goes_with_the_next_migration(
+    state: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for suffix in ("", "-wal", "-shm", "-journal"):
+        (state / f".dcam.db.revision-0001.20260101T000000Z.tmp{suffix}").write_bytes(b"half")
+    next_version(tmp_path, monkeypatch)
+    open_store(state, now_utc=NOW).close()
+    assert list(state.glob(".*")) == []
+
+
 def test_a_database_of_a_newer_version_is_refused_and_left_alone(
     state: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
