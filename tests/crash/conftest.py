@@ -1,0 +1,45 @@
+"""Where crashes are tried, and the tally at the end of the tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+
+from tests.crash.lossy_fs import LossyMount, why_not
+
+TALLY = pytest.StashKey[list[str]]()
+MEMORY = Path("/dev/shm")
+
+
+@pytest.fixture(scope="session")
+def tally(pytestconfig: pytest.Config) -> Callable[[str], None]:
+    """Have a line printed at the end of the tests, passed or not."""
+    return pytestconfig.stash.setdefault(TALLY, []).append
+
+
+def pytest_terminal_summary(
+    terminalreporter: pytest.TerminalReporter, config: pytest.Config
+) -> None:
+    for line in config.stash.get(TALLY, []):
+        terminalreporter.write_line(line)
+
+
+@pytest.fixture(scope="session")
+def scratch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A directory in memory, where there is one: thousands of recoveries sync a lot."""
+    place = MEMORY if MEMORY.is_dir() else tmp_path_factory.getbasetemp()
+    with TemporaryDirectory(dir=place, prefix="dcam-crash-") as directory:
+        yield Path(directory)
+
+
+@pytest.fixture(scope="session")
+def mount(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LossyMount]:
+    """The lossy file system."""
+    obstacle = why_not()
+    if obstacle:
+        pytest.skip(obstacle)
+    with LossyMount(tmp_path_factory.mktemp("lossy")) as mounted:
+        yield mounted
