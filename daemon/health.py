@@ -84,6 +84,8 @@ class Facts:
     simulated_clock: bool
     clock_synchronised: bool | None
     """None for a simulated clock, and where the kernel does not tell."""
+    undated: int
+    """Pairs taken under a wrong clock that wait for their slots."""
 
 
 def look(config: Config, state: Path, store: Store, now_utc: datetime) -> Facts:
@@ -117,6 +119,7 @@ def look(config: Config, state: Path, store: Store, now_utc: datetime) -> Facts:
         frames_not_kept_24h=store.rows_without_frames(now_utc - DAY, now_utc),
         simulated_clock=simulated,
         clock_synchronised=None if simulated else clock_is_synchronised(),
+        undated=store.undated_count(),
     )
 
 

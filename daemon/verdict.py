@@ -198,6 +198,9 @@ def _frames(facts: Facts) -> Item:
 
 
 def _clock(facts: Facts) -> Item:
+    if facts.undated:
+        text = f"{facts.undated} pairs taken under a wrong clock have no slot yet: dcam-ctl redate"
+        return Item("clock", Level.WARNING, text)
     if facts.simulated_clock:
         return Item("clock", Level.OK, "simulated")
     if facts.clock_synchronised is None:

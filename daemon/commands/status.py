@@ -116,6 +116,7 @@ def status_fields(facts: Facts, items: list[Item]) -> dict[str, object]:
         "disk": asdict(facts.disk),
         "frames_not_kept_24h": facts.frames_not_kept_24h,
         "clock_synchronised": facts.clock_synchronised,
+        "undated": facts.undated,
     }
 
 

@@ -54,6 +54,7 @@ from daemon.store.schema import (
     GapRow,
     MarkRow,
     MeasurementRow,
+    UndatedRow,
     slot_text,
 )
 
@@ -263,6 +264,11 @@ class Store:
         """What waits for its slot, of one boot if given: ids and records as taken, in order."""
         with self._read() as session:
             return undated.undated_records(session, boot_id)
+
+    def undated_count(self) -> int:
+        """How many pairs wait for their slots."""
+        with self._read() as session:
+            return session.scalar(select(func.count()).select_from(UndatedRow)) or 0
 
     def date(self, undated_id: int, record: MeasurementRecord) -> None:
         """Write the row of an undated pair whose slot is known now. Raises as add_measurement."""

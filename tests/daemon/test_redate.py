@@ -14,19 +14,25 @@ WRONG = timedelta(days=900)
 
 
 @pytest.fixture
-def redate(station, tmp_path, capsys):
-    """Run the command on the station's state; gives exit code, stdout and stderr."""
+def ctl(station, tmp_path, capsys):
+    """Run a command on the station's state; gives exit code, stdout and stderr."""
     config = tmp_path / "dcam.toml"
     config.write_text(CONFIG, encoding="utf-8")
 
     def command(*arguments: str):
         capsys.readouterr()
         paths = ["--config", str(config), "--state", str(station.state)]
-        code = run(cli, "dcam-ctl", ["redate", *arguments, *paths])
+        code = run(cli, "dcam-ctl", [*arguments, *paths])
         said = capsys.readouterr()
         return code, said.out, said.err
 
     return command
+
+
+@pytest.fixture
+def redate(ctl):
+    """Run `dcam-ctl redate`."""
+    return lambda *arguments: ctl("redate", *arguments)
 
 
 @pytest.fixture
@@ -50,6 +56,11 @@ def test_what_waits_is_listed(woken, redate) -> None:
     _, out, _ = redate("--json")
     (boot,) = json.loads(out)["undated"]
     assert (boot["boot_id"], boot["pairs"], boot["first_uptime_s"]) == ("boot-2", 3, 30)
+
+
+def test_status_tells_of_pairs_that_wait(woken, ctl) -> None:
+    _, out, _ = ctl("status")
+    assert "3 pairs taken under a wrong clock have no slot yet: dcam-ctl redate" in out
 
 
 def test_nothing_waits(station, redate) -> None:
