@@ -16,15 +16,14 @@ from typing import Literal
 
 import numpy as np
 
+from core.misfit import WINDOW, lasting_misfit, misfit
 from core.pose import Pose
 from core.propagation import predict_shift
-from core.quality import flag_of, noisier
+from core.quality import flag_of
 from core.results import Measurement, Reason
 from core.setup import Setup
 from core.site import FloatArray, QualityLimits
 
-WINDOW = 200
-"""Rows that say what is usual."""
 _MIN_NOISE = 6.0
 """Steps below so many standard deviations are noise."""
 _CANCELS = 0.6
@@ -35,7 +34,7 @@ _ALONE = 1.6
 """And as often as this again if the displacement's own step is not unusual."""
 _GAP = 3.0
 """Rows further apart than so many usual intervals have a gap between them."""
-_DRIFT_ROWS, _DRIFT_FACTOR = 20, 2.0
+_DRIFT_FACTOR = 2.0
 _ACROSS_ROWS = frozenset({Reason.BOARD_SLIPPED, Reason.CAMERA_BUMPED, Reason.CALIBRATION_DRIFTING})
 
 Channel = Literal["false_mm", "slide_mm"]
@@ -87,14 +86,14 @@ def sample_of(setup: Setup, measurement: Measurement, time_s: float) -> Sample |
         measurement.diagnostics.sub_residual_px,
         measurement.diagnostics.sub_contrast_dn,
     )
-    level_px = max(setup.levels.sub_rms_px, 0.002) * noisier(setup, contrast or 0.0)
+    levels = setup.levels
     return Sample(
         time_s,
         corrected.mm,
         raw.mm - corrected.mm,
         by_translation @ motion.translation_mm,
         np.sqrt([float(np.diag(variance).max()) for variance in variances]),
-        (seen_px or 0.0) / level_px,
+        misfit(levels.sub_rms_px, levels.sub_contrast_dn, seen_px or 0.0, contrast or 0.0),
         _ACROSS_ROWS.issuperset(measurement.reasons),
     )
 
@@ -140,9 +139,7 @@ class Continuity:
     @property
     def misfit(self) -> float | None:
         """The median misfit of the last rows; None of too few rows to tell."""
-        if len(self.history) < _DRIFT_ROWS:
-            return None
-        return float(np.median([row.misfit for row in self.history]))
+        return lasting_misfit([row.misfit for row in self.history])
 
     @property
     def is_drifting(self) -> bool:

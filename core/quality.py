@@ -9,6 +9,7 @@ from core.corners import LocatedBoard
 from core.discs import Discs
 from core.frames import GreyImage
 from core.imprint import missing_print
+from core.misfit import noisier
 from core.paper import PaperModel
 from core.resection import BoardPose
 from core.results import Displacement, Flag, Reason, RigMotion
@@ -66,7 +67,7 @@ def judge_sub(setup: Setup, located: LocatedBoard, board: BoardPose) -> list[Rea
     if used < (1.0 - _HIDDEN_SHARE) * located.visible:
         reasons.append(Reason.SUB_TARGET_PARTLY_HIDDEN)
     if board.rms_px > _RESIDUAL_FACTOR * max(setup.levels.sub_rms_px, 0.002) * noisier(
-        setup, located.contrast_dn
+        setup.levels.sub_contrast_dn, located.contrast_dn
     ):
         reasons.append(Reason.SUB_TARGET_DISTURBED)
     if _is_foreign(setup, located, board):
@@ -84,11 +85,6 @@ def _is_foreign(setup: Setup, located: LocatedBoard, board: BoardPose) -> bool:
     """
     share, size_px = missing_print(setup, located.view, board)
     return share > _FOREIGN_SHARE and size_px > setup.levels.sub_rms_px
-
-
-def noisier(setup: Setup, contrast_dn: float) -> float:
-    """How much larger residuals may be because the contrast is lower than at calibration."""
-    return max(1.0, setup.levels.sub_contrast_dn / max(contrast_dn, 1.0))
 
 
 def beyond_belief(shift: Shift, board: BoardPose | None) -> bool:

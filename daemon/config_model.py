@@ -10,12 +10,11 @@ import json
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr, Strict
 
 from core.site import Site
-from daemon.burst import BurstPlan
 from daemon.config_site import (
     CamerasSection,
     Directory,
@@ -26,7 +25,6 @@ from daemon.config_site import (
     SiteSection,
     TargetsSection,
 )
-from daemon.schedule import Schedule
 from drivers.protocols import HeadSettings, LineOut, Role, TriggerIn
 from drivers.sim.settings import (
     AsBuilt,
@@ -37,6 +35,10 @@ from drivers.sim.settings import (
     Sensor,
     SimSettings,
 )
+
+if TYPE_CHECKING:  # scheduler and cameras are loaded by who runs slots, not by who reads a config
+    from daemon.burst import BurstPlan
+    from daemon.schedule import Schedule
 
 HeadBackend = Literal["ptu", "pelco-d", "simulated"]
 Angle = Annotated[float, Field(ge=-179.99, le=179.99)]
@@ -59,6 +61,8 @@ class ScheduleSection(Section):
 
     def schedule(self) -> Schedule:
         """Convert to the daemon's type; later than half a period is nearer to the next slot."""
+        from daemon.schedule import Schedule
+
         return Schedule(self.period_s, self.offset_s, min(self.max_late_s, self.period_s / 2))
 
 
@@ -264,6 +268,8 @@ class Config(Section):
 
     def burst_plan(self) -> BurstPlan:
         """Convert to the daemon's type; pairs end in time for the last one to be measured."""
+        from daemon.burst import BurstPlan
+
         return BurstPlan(
             self.schedule.burst, self.schedule.burst_spacing_s, self.schedule.period_s * BURST_SHARE
         )

@@ -15,7 +15,6 @@ import click
 
 from daemon.commands.options import Options, common_options
 from daemon.errors import run
-from daemon.log import configure_log
 
 COMMANDS = {
     "check": "Check config, state and clock; with --hardware cameras too.",
@@ -92,7 +91,10 @@ def cli(ctx: click.Context) -> None:
     those of status: 0 OK, 1 warning, 2 critical, 3 unknown.
     """
     ctx.ensure_object(Options)
-    configure_log(level="warning")
+    if ctx.invoked_subcommand != "status":  # it reads, and logs nothing: nor does it load a logger
+        from daemon.log import configure_log
+
+        configure_log(level="warning")
 
 
 def main() -> int:

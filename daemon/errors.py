@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from enum import IntEnum
 
 import click
-from sqlalchemy.exc import SQLAlchemyError
 
 from core.errors import CoreError
 from daemon.store.errors import StoreError
@@ -72,7 +71,6 @@ _EXIT_CODES: tuple[tuple[type[BaseException], ExitCode], ...] = (
     (DriverError, ExitCode.HARDWARE),
     (CoreError, ExitCode.FAILED),
     (StoreError, ExitCode.DATABASE),
-    (SQLAlchemyError, ExitCode.DATABASE),
     (sqlite3.Error, ExitCode.DATABASE),
     (OSError, ExitCode.HARDWARE),
 )
@@ -98,8 +96,6 @@ def lines_of(error: BaseException) -> tuple[str, ...]:
         text = "interrupted"
     elif isinstance(error, OSError) and error.strerror:
         text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    elif isinstance(error, SQLAlchemyError):
-        text = f"database: {getattr(error, 'orig', None) or error}"
     elif _was_foreseen(error):
         text = str(error)
     else:

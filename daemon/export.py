@@ -12,19 +12,12 @@ from pathlib import Path
 from typing import TextIO
 
 from core.results import Measurement
-from daemon.store.convert import measurement_columns
+from daemon.store.checksum import DIGEST
+from daemon.store.convert import BURST_COLUMNS, RESULT_COLUMNS, measurement_columns
 from daemon.store.durable import fsync_directory, temporary_name
 from daemon.store.records import MeasurementRecord
-from daemon.store.schema import DIGEST, MeasurementRow, instant_text, slot_text
-
-RESULT_COLUMNS = (
-    *("slot_utc", "flag", "reasons", "x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm"),
-    *("raw_x_mm", "raw_y_mm", "rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"),
-)
-"""What `reprocess` writes; the interface that scripts rely on."""
-
-BURST_COLUMNS = ("spread_x_mm", "spread_y_mm", "frames_used")
-"""What `reprocess` appends where slots have several pairs."""
+from daemon.store.schema import MeasurementRow
+from daemon.store.times import instant_text, slot_text
 
 EXTRA_COLUMNS = tuple(
     column.name

@@ -8,25 +8,24 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 
-from core.results import Flag
+from core.misfit import WINDOW, lasting_misfit, misfit
 from daemon.config import Config
 from daemon.lock import LOCK_NAME
 from daemon.machine import clock_is_synchronised
-from daemon.measuring import active_calibration
-from daemon.sequence import stored_continuity
-from daemon.store.database import Store
-from daemon.store.frames import FrameArchive
+from daemon.store.overview import ActiveCalibrationSummary, Overview, open_overview
 from daemon.store.records import (
-    CalibrationRecord,
+    BELIEVED,
+    SLIPPED,
     Coverage,
     GapCause,
     GapRecord,
     Mark,
     MeasurementRecord,
 )
+from daemon.store.runs import schedule_slots
 
 DAY = timedelta(days=1)
 MONTH = timedelta(days=30)
@@ -65,9 +64,9 @@ class Facts:
     first_slot_utc: datetime | None
     """The first slot that the database accounts for."""
     last: MeasurementRecord | None
-    last_good: MeasurementRecord | None
+    last_good_utc: datetime | None
     """Within 30 days before the last row."""
-    calibration: CalibrationRecord | None
+    calibration: ActiveCalibrationSummary | None
     misfit: float | None
     """How much worse the corners fit than at calibration, over the last rows; None of too few."""
     slipped_utc: datetime | None
@@ -88,52 +87,58 @@ class Facts:
     """Pairs taken under a wrong clock that wait for their slots."""
 
 
-def look(config: Config, state: Path, store: Store, now_utc: datetime) -> Facts:
+def look(config: Config, state: Path, now_utc: datetime) -> Facts:
     """Collect the facts of a site as of a time. Raises StoreError, OSError."""
-    accounted = store.accounted()
-    first = accounted[0] if accounted else None
-    last_slot = store.last_slot()
-    last = store.measurement(last_slot) if last_slot else None
     simulated = has_stepped_clock(config)
-    misfit, slipped_utc = _continuity(store, last)
-    return Facts(
-        site=config.name,
-        now_utc=now_utc,
-        period_s=config.schedule.period_s,
-        first_slot_utc=first,
-        last=last,
-        last_good=_last_good(store, last),
-        calibration=store.active_calibration(),
-        misfit=misfit,
-        slipped_utc=slipped_utc,
-        config_hash=config.config_hash(),
-        coverage_24h=_coverage(config, store, accounted, now_utc, DAY),
-        coverage_30d=_coverage(config, store, accounted, now_utc, MONTH),
-        gaps=tuple(store.gaps(now_utc - MONTH, now_utc)),
-        daemon=Daemon(
-            running=dcamd_runs(state),
-            heartbeat_utc=_mark_time(store, Mark.HEARTBEAT_UTC),
-            clean_stop_utc=_mark_time(store, Mark.CLEAN_STOP_UTC),
-        ),
-        disk=_disk(state, last, config.schedule.period_s),
-        frames_not_kept_24h=store.rows_without_frames(now_utc - DAY, now_utc),
-        simulated_clock=simulated,
-        clock_synchronised=None if simulated else clock_is_synchronised(),
-        undated=store.undated_count(),
-    )
+    with open_overview(state) as overview:
+        accounted, last = overview.accounted(), overview.last_row()
+        calibration = overview.calibration()
+        misfit, slipped_utc = _continuity(overview, last, calibration)
+        return Facts(
+            site=config.name,
+            now_utc=now_utc,
+            period_s=config.schedule.period_s,
+            first_slot_utc=accounted[0] if accounted else None,
+            last=last,
+            last_good_utc=overview.last_good_slot(last.slot_utc - MONTH) if last else None,
+            calibration=calibration,
+            misfit=misfit,
+            slipped_utc=slipped_utc,
+            config_hash=config.config_hash(),
+            coverage_24h=_coverage(config, overview, accounted, now_utc, DAY),
+            coverage_30d=_coverage(config, overview, accounted, now_utc, MONTH),
+            gaps=tuple(overview.gaps(now_utc - MONTH, now_utc)),
+            daemon=Daemon(
+                running=dcamd_runs(state),
+                heartbeat_utc=_mark_time(overview, Mark.HEARTBEAT_UTC),
+                clean_stop_utc=_mark_time(overview, Mark.CLEAN_STOP_UTC),
+            ),
+            disk=_disk(state, last, config.schedule.period_s),
+            frames_not_kept_24h=overview.rows_without_frames(now_utc - DAY, now_utc),
+            simulated_clock=simulated,
+            clock_synchronised=None if simulated else clock_is_synchronised(),
+            undated=overview.undated(),
+        )
 
 
 def _continuity(
-    store: Store, last: MeasurementRecord | None
+    overview: Overview, last: MeasurementRecord | None, calibration: ActiveCalibrationSummary | None
 ) -> tuple[float | None, datetime | None]:
-    """How well the corners have fitted of late, and the last row of a slipped board."""
-    calibration = active_calibration(store)
+    """How well the corners have fitted of late, and the last row of a board that has slipped."""
     if last is None or calibration is None:
         return None, None
-    known = stored_continuity(store, calibration, last.slot_utc + timedelta(seconds=1))
-    if known.slip is None:
-        return known.misfit, None
-    return known.misfit, datetime.fromtimestamp(known.slip.last.time_s, UTC)
+    since = last.slot_utc - MONTH
+    believed = overview.fits(calibration.id, BELIEVED, since, WINDOW)
+    if not believed:
+        return None, None
+    slipped = overview.fits(calibration.id, SLIPPED, believed[-1].slot_utc, 1)
+    levels = calibration.sub_rms_px, calibration.sub_contrast_dn
+    if levels[0] is None or levels[1] is None:
+        return None, slipped[-1].slot_utc if slipped else None
+    misfits = [
+        misfit(levels[0], levels[1], fit.sub_residual_px, fit.sub_contrast_dn) for fit in believed
+    ]
+    return lasting_misfit(misfits), slipped[-1].slot_utc if slipped else None
 
 
 def has_stepped_clock(config: Config) -> bool:
@@ -159,7 +164,7 @@ def dcamd_runs(state: Path) -> bool | None:
 
 def _coverage(
     config: Config,
-    store: Store,
+    overview: Overview,
     accounted: tuple[datetime, datetime] | None,
     now_utc: datetime,
     span: timedelta,
@@ -171,28 +176,12 @@ def _coverage(
         first, last = accounted
         since = max(first, now_utc - span)
         until = min(max(until, last + timedelta(seconds=1)), now_utc + timedelta(seconds=1))
-    return store.coverage(since, until, period_s=schedule.period_s, offset_s=schedule.offset_s)
+    return overview.coverage(schedule_slots(since, until, schedule.period_s, schedule.offset_s))
 
 
-def _mark_time(store: Store, mark: Mark) -> datetime | None:
-    text = store.get_mark(mark)
+def _mark_time(overview: Overview, mark: Mark) -> datetime | None:
+    text = overview.mark(mark)
     return None if text is None else datetime.fromisoformat(text).replace(microsecond=0)
-
-
-def _last_good(store: Store, last: MeasurementRecord | None) -> MeasurementRecord | None:
-    """The latest row flagged good, found in steps that double: mostly it is the last one."""
-    if last is None or last.measurement.flag is Flag.GOOD:
-        return last
-    until, hours = last.slot_utc, 1
-    while hours <= MONTH // timedelta(hours=1):
-        since = until - timedelta(hours=hours)
-        good = [
-            row for row in store.measurements(since, until) if row.measurement.flag is Flag.GOOD
-        ]
-        if good:
-            return good[-1]
-        until, hours = since, 2 * hours
-    return None
 
 
 def _disk(state: Path, last: MeasurementRecord | None, period_s: int) -> Disk:
@@ -207,8 +196,9 @@ def _disk(state: Path, last: MeasurementRecord | None, period_s: int) -> Disk:
 
 
 def _sizes(state: Path, last: MeasurementRecord | None) -> Iterator[int]:
-    """The images of the last slot: a burst has several pairs."""
+    """The images of the last slot: a burst has several pairs, `HHMMSS_02_main.png` and so on."""
     for name in (last.main_frame, last.sub_frame) if last else ():
-        if name is not None and (state / name).exists():
-            pairs = len(FrameArchive(state).numbers(last.slot_utc)) if last else 1
-            yield (state / name).stat().st_size * max(pairs, 1)
+        if name is not None:
+            first = state / name
+            slot, role = first.name.split("_")
+            yield from (path.stat().st_size for path in first.parent.glob(f"{slot}*_{role}"))

@@ -19,7 +19,7 @@ from core.results import Flag, Measurement, Reason
 from core.site import CameraGeometry, Site
 from daemon.store.database import Store
 from daemon.store.frames import ArchivedPair, FrameArchive
-from daemon.store.schema import slot_text
+from daemon.store.times import slot_text
 from drivers.errors import FrameSetError, ImageMissingError
 from drivers.frameset import read_image
 from drivers.protocols import CapturedPair, Role

@@ -30,7 +30,7 @@ from daemon.store.database import NEVER, Store
 from daemon.store.errors import DiskFullError, StoreError
 from daemon.store.frames import FrameArchive, StoredPair, camera_state
 from daemon.store.records import GapCause, MeasurementRecord
-from daemon.store.schema import slot_text
+from daemon.store.times import slot_text
 from daemon.version import VERSION
 from drivers.errors import DeviceLostError, DriverError, FrameTimeoutError
 from drivers.protocols import Clock, FramePairSource

@@ -17,7 +17,7 @@ from daemon.schedule import SECOND, Schedule
 from daemon.store.database import Store
 from daemon.store.errors import StoreError
 from daemon.store.records import EPOCH, GapCause, Mark
-from daemon.store.schema import instant_text, slot_text
+from daemon.store.times import instant_text, slot_text
 
 _log = structlog.get_logger("dcam.daemon")
 

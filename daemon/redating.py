@@ -22,7 +22,7 @@ from daemon.store.database import Store
 from daemon.store.frame_moves import clear_pairs, link_pairs, remove_if_empty
 from daemon.store.frames import FrameArchive, StoredPair
 from daemon.store.records import GapCause, Mark, MeasurementRecord
-from daemon.store.schema import slot_text
+from daemon.store.times import slot_text
 
 _log = structlog.get_logger("dcam.daemon")
 

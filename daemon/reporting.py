@@ -11,7 +11,7 @@ from datetime import datetime
 from daemon.notify import Notifier
 from daemon.pipeline import Missed
 from daemon.store.records import MeasurementRecord
-from daemon.store.schema import slot_text
+from daemon.store.times import slot_text
 
 
 class Reporter:

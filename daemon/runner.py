@@ -18,7 +18,7 @@ from daemon.reporting import Reporter
 from daemon.schedule import MissedSlots, Schedule
 from daemon.store.errors import StoreError
 from daemon.store.records import GapCause, Mark, MeasurementRecord
-from daemon.store.schema import slot_text
+from daemon.store.times import slot_text
 from drivers.protocols import FramePairSource
 
 _log = structlog.get_logger("dcam.daemon")

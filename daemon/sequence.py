@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from datetime import datetime
 
-from core.continuity import WINDOW, Continuity, Sample, sample_of, with_reasons
-from core.results import Measurement, Reason
+from core.continuity import Continuity, Sample, sample_of, with_reasons
+from core.misfit import WINDOW
+from core.results import Measurement
 from core.site import QualityLimits
 from daemon.measuring import ActiveCalibration
 from daemon.store.database import Store
-from daemon.store.records import MeasurementRecord
-
-_BELIEVED = ("", Reason.CALIBRATION_DRIFTING.value)
-_SLIPPED = (Reason.BOARD_SLIPPED.value,)
+from daemon.store.records import BELIEVED, SLIPPED, MeasurementRecord
 
 
 class Sequence:
@@ -62,12 +60,12 @@ def stored_continuity(
     def sample(row: MeasurementRecord) -> Sample | None:
         return sample_of(setup, row.measurement, row.slot_utc.timestamp())
 
-    believed = store.rows_before(slot_utc, calibration.id, _BELIEVED, WINDOW)
+    believed = store.rows_before(slot_utc, calibration.id, BELIEVED, WINDOW)
     history = tuple(known for known in map(sample, believed) if known is not None)
     if not believed:
         return Continuity()
-    slipped = store.rows_before(slot_utc, calibration.id, _SLIPPED, 1)
+    slipped = store.rows_before(slot_utc, calibration.id, SLIPPED, 1)
     if not slipped or slipped[0].slot_utc < believed[-1].slot_utc:
         return Continuity.resumed(history, None, None)
-    first = store.first_row_after(believed[-1].slot_utc, calibration.id, _SLIPPED[0]) or slipped[0]
+    first = store.first_row_after(believed[-1].slot_utc, calibration.id, SLIPPED[0]) or slipped[0]
     return Continuity.resumed(history, sample(first), sample(slipped[0]))

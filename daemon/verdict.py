@@ -80,9 +80,9 @@ def _good_value(facts: Facts) -> Item:
     name = "last good value"
     if facts.last is None:
         return Item(name, Level.WARNING, "none yet")
-    if facts.last_good is None:
+    if facts.last_good_utc is None:
         return Item(name, Level.CRITICAL, "none in 30 days; see export for the reasons")
-    age_s = (facts.now_utc - facts.last_good.slot_utc).total_seconds()
+    age_s = (facts.now_utc - facts.last_good_utc).total_seconds()
     return Item(name, _by_age(age_s, STALE_GOOD_S, LOST_GOOD_S), f"{span_text(age_s)} ago")
 
 
@@ -133,7 +133,7 @@ def _calibration(facts: Facts) -> Item:
     if record is None:
         return Item("calibration", Level.CRITICAL, "none active; run dcam-ctl calibrate")
     age_s = (facts.now_utc - record.created_utc).total_seconds()
-    text = f"{record.id}, method {record.content.get('method')}, {span_text(age_s)} old"
+    text = f"{record.id}, method {record.method}, {span_text(age_s)} old"
     if record.config_hash != facts.config_hash:
         text += "; the config has changed since: calibrate again"
     elif facts.slipped_utc is not None:
@@ -146,8 +146,8 @@ def _calibration(facts: Facts) -> Item:
             f"; drifting: the corners fit {facts.misfit:.1f} times worse than at calibration: look "
             "at board, lens and bracket, clean the glass, calibrate again"
         )
-    elif not record.report.passed:
-        text += f"; accepted although it did not pass: {record.report.lines[0]}"
+    elif not record.passed:
+        text += f"; accepted although it did not pass: {record.verdict}"
     else:
         return Item("calibration", Level.OK, text)
     return Item("calibration", Level.WARNING, text)

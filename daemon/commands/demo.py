@@ -138,7 +138,7 @@ def tell(site: Installation, store: Store, figure: Path | None) -> None:
     Raises WorkFailedError when a slot is unaccounted for or the corrected values are no good.
     """
     rows, gaps = list(store.measurements()), store.gaps()
-    facts = look(site.config, site.state_directory, store, rows[-1].slot_utc)
+    facts = look(site.config, site.state_directory, rows[-1].slot_utc)
     say("\n3. dcam-ctl status, at the last slot")
     print_status(facts, judge(facts))
     say(f"\n4. Coverage: {coverage_text(facts.coverage_24h)}")

@@ -7,7 +7,7 @@ from datetime import datetime
 import click
 
 from daemon.commands.options import Options, common_options, json_option, pass_options, span_options
-from daemon.commands.output import print_json, print_table, say
+from daemon.commands.output import gap_fields, print_json, print_table, say
 from daemon.store.database import ALWAYS, NEVER, open_store_readonly
 from daemon.store.records import GapRecord
 from daemon.wording import utc_text
@@ -49,15 +49,3 @@ def print_gaps(gaps: list[GapRecord]) -> None:
         ],
     )
     say(f"{len(gaps)} gap(s), {sum(gap.slots for gap in gaps)} slots missed")
-
-
-def gap_fields(gap: GapRecord) -> dict[str, object]:
-    """A gap for `--json`."""
-    return {
-        "start_utc": gap.first_slot_utc,
-        "end_utc": gap.last_slot_utc,
-        "slots": gap.slots,
-        "period_s": gap.period_s,
-        "cause": gap.cause,
-        "detail": gap.detail,
-    }

@@ -10,18 +10,15 @@ from contextlib import contextmanager
 from datetime import datetime
 from enum import Enum
 from pathlib import Path
-from typing import Any
-
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
-from rich.text import Text
+from typing import TYPE_CHECKING, Any
 
 from core.results import Measurement
-from daemon.export import BURST_COLUMNS, RESULT_COLUMNS
-from daemon.store.convert import measurement_row
-from daemon.store.records import MeasurementRecord
+from daemon.store.convert import BURST_COLUMNS, RESULT_COLUMNS, measurement_columns
+from daemon.store.records import GapRecord, MeasurementRecord
 from daemon.wording import utc_text
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 JSON_SCHEMA = 1
 
@@ -60,14 +57,31 @@ def _plain(value: Any) -> Any:
 
 def result_fields(slot_utc: datetime, measurement: Measurement) -> dict[str, Any]:
     """A measurement for `--json`: the columns of `reprocess`, with the same names."""
-    row = measurement_row(MeasurementRecord(slot_utc, measurement, config_hash="", version=""))
-    fields = {name: getattr(row, name) for name in RESULT_COLUMNS + BURST_COLUMNS}
+    record = MeasurementRecord(slot_utc, measurement, config_hash="", version="")
+    columns = measurement_columns(record)
+    fields = {name: columns.get(name) for name in RESULT_COLUMNS + BURST_COLUMNS}
     return {**fields, "reasons": [reason.value for reason in measurement.reasons]}
+
+
+def gap_fields(gap: GapRecord) -> dict[str, object]:
+    """A gap for `--json`."""
+    return {
+        "start_utc": gap.first_slot_utc,
+        "end_utc": gap.last_slot_utc,
+        "slots": gap.slots,
+        "period_s": gap.period_s,
+        "cause": gap.cause,
+        "detail": gap.detail,
+    }
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a table: drawn on a terminal, else plain columns two spaces apart."""
     if sys.stdout.isatty():
+        from rich.console import Console
+        from rich.table import Table
+        from rich.text import Text
+
         table = Table(*columns, header_style="bold")
         for row in rows:
             table.add_row(*(Text(cell) for cell in row))
@@ -101,6 +115,15 @@ class Steps:
 @contextmanager
 def progress(total: int, what: str) -> Iterator[Steps]:
     """Show a progress bar on stderr while the block runs, if stderr is a terminal."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
     console = Console(stderr=True)
     bar = Progress(
         TextColumn("{task.description}"),

@@ -17,7 +17,7 @@ from daemon.redating import Books, Redated, TrueTime, account_for_moved, redate
 from daemon.schedule import Schedule
 from daemon.store.database import Store, open_store, open_store_readonly
 from daemon.store.records import MeasurementRecord
-from daemon.store.schema import slot_text
+from daemon.store.times import slot_text
 from daemon.wording import utc_text
 
 Undated = Sequence[tuple[int, MeasurementRecord]]

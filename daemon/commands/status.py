@@ -7,12 +7,10 @@ from datetime import UTC, datetime
 
 import click
 
-from daemon.commands.gaps import gap_fields
 from daemon.commands.options import Options, common_options, json_option, pass_options, utc_time
-from daemon.commands.output import print_json, print_table, result_fields, say
+from daemon.commands.output import gap_fields, print_json, print_table, result_fields, say
 from daemon.errors import lines_of
 from daemon.health import Facts, look
-from daemon.store.database import open_store_readonly
 from daemon.store.errors import DatabaseDamagedError
 from daemon.store.records import Coverage
 from daemon.verdict import Item, Level, judge, worst
@@ -38,8 +36,7 @@ def command(options: Options, at_utc: datetime | None, as_json: bool) -> int:
 
     Exit code 0 OK, 1 warning, 2 critical, 3 unknown, as monitoring systems expect it.
     """
-    with open_store_readonly(options.state) as store:
-        facts = look(options.config, options.state, store, at_utc or datetime.now(UTC))
+    facts = look(options.config, options.state, at_utc or datetime.now(UTC))
     items = judge(facts)
     if as_json:
         print_json(status_fields(facts, items))
@@ -74,9 +71,10 @@ def print_status(facts: Facts, items: list[Item]) -> None:
 def _figures(facts: Facts) -> str:
     """Performance data, as Nagios plugins give it."""
     figures = []
-    for name, row in (("age", facts.last), ("good_age", facts.last_good)):
-        if row is not None:
-            figures.append(f"{name}={(facts.now_utc - row.slot_utc).total_seconds():.0f}s")
+    last_utc = facts.last.slot_utc if facts.last else None
+    for name, slot_utc in (("age", last_utc), ("good_age", facts.last_good_utc)):
+        if slot_utc is not None:
+            figures.append(f"{name}={(facts.now_utc - slot_utc).total_seconds():.0f}s")
     for name, coverage in (("24h", facts.coverage_24h), ("30d", facts.coverage_30d)):
         if coverage.expected:
             figures.append(f"coverage_{name}={100 * coverage.measured / coverage.expected:.2f}%")
@@ -99,14 +97,14 @@ def status_fields(facts: Facts, items: list[Item]) -> dict[str, object]:
             for item in items
         ],
         "last": result_fields(facts.last.slot_utc, facts.last.measurement) if facts.last else None,
-        "last_good_slot_utc": facts.last_good.slot_utc if facts.last_good else None,
+        "last_good_slot_utc": facts.last_good_utc,
         "calibration": None
         if calibration is None
         else {
             "id": calibration.id,
             "created_utc": calibration.created_utc,
-            "method": calibration.content.get("method"),
-            "passed": calibration.report.passed,
+            "method": calibration.method,
+            "passed": calibration.passed,
             "fits_config": calibration.config_hash == facts.config_hash,
         },
         "coverage_24h": coverage_fields(facts.coverage_24h),

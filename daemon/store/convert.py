@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,7 +20,20 @@ from core.results import (
 )
 from core.site import FloatArray
 from daemon.store.records import CalibrationRecord, CameraState, MeasurementRecord
-from daemon.store.schema import CalibrationRow, MeasurementRow
+
+if TYPE_CHECKING:  # SQLAlchemy is loaded by who needs its rows
+    from types import SimpleNamespace
+
+    from daemon.store.schema import CalibrationRow, MeasurementRow
+
+RESULT_COLUMNS = (
+    *("slot_utc", "flag", "reasons", "x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm"),
+    *("raw_x_mm", "raw_y_mm", "rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"),
+)
+"""What `reprocess` writes; the interface that scripts rely on."""
+
+BURST_COLUMNS = ("spread_x_mm", "spread_y_mm", "frames_used")
+"""What `reprocess` appends where slots have several pairs."""
 
 _UPPER = np.triu_indices(6)
 _DIAGNOSTICS = tuple(field.name for field in fields(Diagnostics))
@@ -30,6 +43,8 @@ _CAMERA = tuple(field.name for field in fields(CameraState))
 
 def measurement_row(record: MeasurementRecord) -> MeasurementRow:
     """The row of a record. Raises ValueError for a value or covariance that is not finite."""
+    from daemon.store.schema import MeasurementRow
+
     return MeasurementRow(**measurement_columns(record))
 
 
@@ -67,8 +82,8 @@ def measurement_columns(record: MeasurementRecord) -> dict[str, Any]:
     }
 
 
-def measurement_record(row: MeasurementRow) -> MeasurementRecord:
-    """The record of a row."""
+def measurement_record(row: MeasurementRow | SimpleNamespace) -> MeasurementRecord:
+    """The record of a row, or of its columns by name."""
     measurement = Measurement(
         flag=Flag(row.flag),
         reasons=tuple(Reason(word) for word in row.reasons.split("+") if word),
@@ -101,6 +116,8 @@ def measurement_record(row: MeasurementRow) -> MeasurementRecord:
 
 def calibration_row(record: CalibrationRecord) -> CalibrationRow:
     """The row of a calibration. Raises ValueError for content that is not plain, finite JSON."""
+    from daemon.store.schema import CalibrationRow
+
     report = {"lines": list(record.report.lines), "figures": record.report.figures}
     return CalibrationRow(
         created_utc=record.created_utc,
@@ -153,7 +170,7 @@ def _displacement_columns(displacement: Displacement | None, prefix: str) -> dic
     return _finite(columns)
 
 
-def _displacement(row: MeasurementRow, prefix: str) -> Displacement | None:
+def _displacement(row: MeasurementRow | SimpleNamespace, prefix: str) -> Displacement | None:
     names = ("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm", "cov_xy_mm2")
     x, y, sigma_x, sigma_y, cov_xy = (getattr(row, prefix + name) for name in names)
     if x is None:
@@ -168,7 +185,7 @@ def _spread_columns(spread_mm: FloatArray | None) -> dict[str, float]:
     return _finite({"spread_x_mm": float(spread_mm[0]), "spread_y_mm": float(spread_mm[1])})
 
 
-def _spread(row: MeasurementRow) -> FloatArray | None:
+def _spread(row: MeasurementRow | SimpleNamespace) -> FloatArray | None:
     if row.spread_x_mm is None:
         return None
     return np.array([row.spread_x_mm, row.spread_y_mm], dtype=np.float64)
@@ -191,7 +208,7 @@ def _finite(columns: dict[str, float]) -> dict[str, float]:
     return columns
 
 
-def _motion(row: MeasurementRow) -> RigMotion | None:
+def _motion(row: MeasurementRow | SimpleNamespace) -> RigMotion | None:
     if row.motion_covariance is None:
         return None
     covariance: FloatArray = np.zeros((6, 6))
@@ -208,5 +225,5 @@ def _camera_columns(camera: CameraState, prefix: str) -> dict[str, float | None]
     return {prefix + name: getattr(camera, name) for name in _CAMERA}
 
 
-def _camera(row: MeasurementRow, prefix: str) -> CameraState:
+def _camera(row: MeasurementRow | SimpleNamespace, prefix: str) -> CameraState:
     return CameraState(**{name: getattr(row, prefix + name) for name in _CAMERA})

@@ -11,13 +11,13 @@ from datetime import datetime
 from pathlib import Path
 
 from daemon.store.durable import fsync_directory, fsync_file, temporary_name
-from daemon.store.engine import connect_readonly, is_damage, translate
 from daemon.store.errors import (
     TO_SALVAGE,
     DatabaseDamagedError,
     DatabaseUnwritableError,
     StoreError,
 )
+from daemon.store.sqlite import connect_readonly, is_damage, translate
 
 PAGES_A_STEP = 1024
 """4 MB between two syncs: a slot's own sync never waits behind more than that."""

@@ -7,17 +7,17 @@ writer, nor it for them.
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Self, cast
 
 from sqlalchemy import Engine, func, select
 from sqlalchemy.orm import Session
 
-from daemon.store import engine as sqlite
 from daemon.store import gaps as gap_runs
 from daemon.store import undated
 from daemon.store.convert import (
@@ -27,9 +27,9 @@ from daemon.store.convert import (
     measurement_row,
 )
 from daemon.store.copying import Copied, Tell, backup
-from daemon.store.coverage import coverage, schedule_slots
 from daemon.store.digest import CheckedSession
 from daemon.store.durable import fsync_directory, make_directory_durable
+from daemon.store.engine import make_engine, quick_check, translated
 from daemon.store.errors import (
     DatabaseMissingError,
     DatabaseUnwritableError,
@@ -38,6 +38,7 @@ from daemon.store.errors import (
 )
 from daemon.store.migrate import migrate as run_migrations
 from daemon.store.migrate import require_head
+from daemon.store.overview import FILE_NAME, Overview, missing
 from daemon.store.records import (
     CalibrationRecord,
     Coverage,
@@ -47,18 +48,16 @@ from daemon.store.records import (
     Mark,
     MeasurementRecord,
 )
+from daemon.store.runs import next_second, run_between, schedule_slots
 from daemon.store.schema import (
     ActivationRow,
     CalibrationRow,
     EventRow,
-    GapRow,
     MarkRow,
     MeasurementRow,
-    UndatedRow,
-    slot_text,
 )
-
-FILE_NAME = "dcam.db"
+from daemon.store.sqlite import connect, database_exists
+from daemon.store.times import slot_text
 
 ALWAYS = datetime(1, 1, 1, tzinfo=UTC)
 NEVER = datetime(9999, 12, 31, tzinfo=UTC)
@@ -76,17 +75,17 @@ def open_store(
     Raises DatabaseMissingError, DatabaseDamagedError, DatabaseNewerError, DatabaseOlderError.
     """
     path = directory / FILE_NAME
-    exists = sqlite.database_exists(path)
+    exists = database_exists(path)
     if not exists and not create:
-        raise DatabaseMissingError(_missing(path))
+        raise DatabaseMissingError(missing(path))
     try:
         make_directory_durable(directory)
     except OSError as error:
         msg = f"{directory}: cannot be made ({error.strerror}): check the path and its permissions"
         raise DatabaseUnwritableError(msg) from error
     if exists:
-        sqlite.quick_check(path)
-    engine = sqlite.make_engine(path)
+        quick_check(path)
+    engine = make_engine(path)
     try:
         if migrate:
             run_migrations(engine, path, now_utc or datetime.now(UTC))
@@ -105,9 +104,9 @@ def open_store_readonly(directory: Path) -> Store:
     Raises DatabaseMissingError, DatabaseDamagedError, DatabaseNewerError, DatabaseOlderError.
     """
     path = directory / FILE_NAME
-    if not sqlite.database_exists(path):
-        raise DatabaseMissingError(_missing(path))
-    engine = sqlite.make_engine(path, readonly=True)
+    if not database_exists(path):
+        raise DatabaseMissingError(missing(path))
+    engine = make_engine(path, readonly=True)
     try:
         require_head(engine, path)
     except BaseException:
@@ -160,7 +159,7 @@ class Store:
         Read in pages, each in a transaction of its own: a slow reader of many years keeps
         neither memory nor the write-ahead log.
         """
-        since, until = gap_runs.next_second(since), gap_runs.next_second(until)
+        since, until = next_second(since), next_second(until)
         after = since - timedelta(seconds=1) if since > ALWAYS else since
         while True:
             page = self._page(after, until)
@@ -178,7 +177,7 @@ class Store:
         """
         row = MeasurementRow
         query = select(row).where(
-            row.slot_utc < gap_runs.next_second(slot_utc),
+            row.slot_utc < next_second(slot_utc),
             row.calibration_id == calibration_id,
             row.x_mm.is_not(None),
             row.reasons.in_(reasons),
@@ -202,25 +201,10 @@ class Store:
     def measured_slots(self, since: datetime = ALWAYS, until: datetime = NEVER) -> set[datetime]:
         """The slots that have a row, since <= slot < until."""
         column = MeasurementRow.slot_utc
-        since, until = gap_runs.next_second(since), gap_runs.next_second(until)
+        since, until = next_second(since), next_second(until)
         query = select(column).where(column >= since, column < until)
         with self._read() as session:
             return set(session.scalars(query))
-
-    def rows_without_frames(self, since: datetime = ALWAYS, until: datetime = NEVER) -> int:
-        """How many rows, since <= slot < until, could not keep their frames.
-
-        A late row without frames had a damaged pair, and says so as its reason.
-        """
-        row, (since, until) = MeasurementRow, map(gap_runs.next_second, (since, until))
-        query = select(func.count()).where(
-            row.slot_utc >= since,
-            row.slot_utc < until,
-            row.main_frame.is_(None),
-            row.recorded_late.is_(False),
-        )
-        with self._read() as session:
-            return session.scalar(query) or 0
 
     def last_slot(self) -> datetime | None:
         """The latest slot with a row."""
@@ -229,15 +213,8 @@ class Store:
 
     def accounted(self) -> tuple[datetime, datetime] | None:
         """The first and the last slot that has a row or lies in a gap; None when there is none."""
-        with self._read() as session:
-            limits = (
-                session.scalar(select(func.min(MeasurementRow.slot_utc))),
-                session.scalar(select(func.max(MeasurementRow.slot_utc))),
-                session.scalar(select(func.min(GapRow.start_utc))),
-                session.scalar(select(func.max(GapRow.end_utc))),
-            )
-        known = [limit for limit in limits if limit is not None]
-        return (min(known), max(known)) if known else None
+        with self._look() as overview:
+            return overview.accounted()
 
     # Times put right
 
@@ -264,11 +241,6 @@ class Store:
         """What waits for its slot, of one boot if given: ids and records as taken, in order."""
         with self._read() as session:
             return undated.undated_records(session, boot_id)
-
-    def undated_count(self) -> int:
-        """How many pairs wait for their slots."""
-        with self._read() as session:
-            return session.scalar(select(func.count()).select_from(UndatedRow)) or 0
 
     def date(self, undated_id: int, record: MeasurementRecord) -> None:
         """Write the row of an undated pair whose slot is known now. Raises as add_measurement."""
@@ -304,7 +276,7 @@ class Store:
         """Slots, from `since` on, whose row was moved to another: their frames belong to that."""
         column = MeasurementRow.redated_from_utc
         with self._read() as session:
-            found = session.scalars(select(column).where(column >= gap_runs.next_second(since)))
+            found = session.scalars(select(column).where(column >= next_second(since)))
             return {slot for slot in found if slot is not None}
 
     def cut_gaps_after(self, slot_utc: datetime) -> None:
@@ -336,13 +308,13 @@ class Store:
         A gap of the same cause that the slots continue is extended and keeps its detail.
         Raises ValueError when the two are not a whole number of periods apart.
         """
-        run = gap_runs.run_between(first_slot, last_slot, period_s)
+        run = run_between(first_slot, last_slot, period_s)
         with self._write() as session:
             return gap_runs.record_missed(session, run, cause, detail)
 
     def gaps(self, since: datetime = ALWAYS, until: datetime = NEVER) -> list[GapRecord]:
         """Gaps with at least one moment in since <= t < until, whole, in order."""
-        since, until = gap_runs.next_second(since), gap_runs.next_second(until)
+        since, until = next_second(since), next_second(until)
         with self._read() as session:
             rows = gap_runs.gaps_touching(session, since, until)
             return [gap_runs.gap_record(row) for row in rows if row.start_utc < until]
@@ -352,8 +324,8 @@ class Store:
     ) -> Coverage:
         """Account for the slots `k * period_s + offset_s` (Unix time), since <= slot < until."""
         slots = schedule_slots(since, until, period_s, offset_s)
-        with self._read() as session:
-            return coverage(session, slots)
+        with self._look() as overview:
+            return overview.coverage(slots)
 
     # Calibrations
 
@@ -451,7 +423,7 @@ class Store:
 
     def checkpoint(self) -> None:
         """Move the write-ahead log into the file and empty it, as far as readers allow."""
-        with sqlite.translated(self.path), closing(sqlite.connect(self.path)) as connection:
+        with translated(self.path), closing(connect(self.path)) as connection:
             connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").close()
 
     def close(self) -> None:
@@ -460,12 +432,12 @@ class Store:
 
     @contextmanager
     def _read(self) -> Iterator[Session]:
-        with sqlite.translated(self.path), CheckedSession(self._engine) as session:
+        with translated(self.path), CheckedSession(self._engine) as session:
             yield session
 
     @contextmanager
     def _write(self) -> Iterator[Session]:
-        with sqlite.translated(self.path), CheckedSession(self._writer) as session, session.begin():
+        with translated(self.path), CheckedSession(self._writer) as session, session.begin():
             yield session
 
     def _add(self, session: Session, record: MeasurementRecord) -> None:
@@ -483,6 +455,12 @@ class Store:
             msg = f"{self.path}: slot {slot_text(slot_utc)} has a row already"
             raise SlotTakenError(msg)
 
+    @contextmanager
+    def _look(self) -> Iterator[Overview]:
+        with self._read() as session:
+            connection = session.connection().connection.dbapi_connection
+            yield Overview(cast("sqlite3.Connection", connection))
+
     def _row(self, session: Session, slot_utc: datetime) -> MeasurementRow | None:
         query = select(MeasurementRow).where(MeasurementRow.slot_utc == slot_utc)
         return session.scalar(query)
@@ -493,7 +471,3 @@ class Store:
         with self._read() as session:
             rows = session.scalars(query.order_by(column).limit(_PAGE))
             return [measurement_record(row) for row in rows]
-
-
-def _missing(path: Path) -> str:
-    return f"{path}: no database: start dcamd once, or name another state directory"

@@ -1,18 +1,8 @@
-"""A checksum in every row, so that a flipped byte is an error and never a value.
-
-SQLite notices pages that contradict each other, not a changed number within one. Every row
-therefore carries the first 8 bytes of the BLAKE2b of its table's name and its columns that are not
-NULL, as JSON (keys sorted, ASCII only). A column added later and left NULL changes no digest; a
-migration that writes values must renew it.
-
-`CheckedSession` sets the digest of what it writes and checks that of every row it loads.
-"""
+"""Rows that prove themselves: every one written gets its checksum, every one loaded is checked."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache
 from typing import Any, cast
 
@@ -21,21 +11,12 @@ from sqlalchemy.dialects.sqlite import dialect as sqlite_dialect
 from sqlalchemy.event import listens_for
 from sqlalchemy.orm import ORMExecuteState, Session, UOWTransaction, class_mapper, object_mapper
 
-from daemon.store.errors import DamagedRowError
-from daemon.store.schema import DIGEST, Base
+from daemon.store.checksum import DIGEST, require_intact, row_digest
+from daemon.store.schema import Base
 
-# No column holds bytes; only damage makes them.
-_encode = json.JSONEncoder(sort_keys=True, separators=(",", ":"), default=repr).encode
 _DIALECT = sqlite_dialect()
 
 Convert = Callable[[Any], object]
-
-
-def row_digest(table: str, values: Mapping[str, object]) -> int:
-    """The digest of a row: 64 bits, signed, of the values as SQLite holds them."""
-    known = {name: value for name, value in values.items() if value is not None and name != DIGEST}
-    content = f"{table}{_encode(known)}".encode()
-    return int.from_bytes(hashlib.blake2b(content, digest_size=8).digest(), "big", signed=True)
 
 
 def stored_values(row: Base) -> dict[str, object]:
@@ -87,10 +68,7 @@ def _sign(session: Session, _context: UOWTransaction, _instances: object) -> Non
 
 @listens_for(CheckedSession, "loaded_as_persistent")
 def _check(_session: Session, row: Base) -> None:
-    values = stored_values(row)
-    if row_digest(row.__tablename__, values) != row.digest:
-        msg = f"a row of {row.__tablename__}, {named(values)}, is not what was written"
-        raise DamagedRowError(msg)
+    require_intact(row.__tablename__, stored_values(row), row.digest)
 
 
 @listens_for(CheckedSession, "do_orm_execute")
@@ -99,11 +77,3 @@ def _refuse_bulk(state: ORMExecuteState) -> None:
     if state.is_update or state.is_insert:
         msg = "write rows through the session's objects, or their digests would not fit"
         raise TypeError(msg)
-
-
-def named(values: Mapping[str, object]) -> str:
-    """A row by the name that a user knows it by."""
-    for name in ("slot_utc", "start_utc", "name", "id"):
-        if name in values:
-            return f"{name} {values[name]}"
-    return "unnamed"

@@ -13,7 +13,7 @@ from daemon.store.durable import fsync_directory, make_directory_durable
 from daemon.store.errors import SlotTakenError
 from daemon.store.frame_table import EXTRA_COLUMNS, enter, find, image_names, strike
 from daemon.store.frames import FrameArchive, StoredPair, translated
-from daemon.store.schema import instant_text
+from daemon.store.times import instant_text
 from drivers.frameset import BURST, FrameSetRow
 
 

@@ -28,7 +28,7 @@ from daemon.store.frame_table import (
     sha256,
 )
 from daemon.store.records import EPOCH, CameraState
-from daemon.store.schema import instant_text, slot_text
+from daemon.store.times import instant_text, slot_text
 from drivers.errors import FrameSetError
 from drivers.frameset import BURST, FrameSetRow, encode_png, read_image
 from drivers.protocols import CapturedFrame, CapturedPair

@@ -1,68 +1,17 @@
-"""Missed slots: kept as runs, never over a measured slot, never twice.
-
-A run is a `range` of Unix seconds with the period as its step, so that membership, length and
-overlap are the language's own.
-"""
+"""Missed slots: kept as runs, never over a measured slot, never twice."""
 
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Collection, Iterator, Sequence
-from datetime import datetime, timedelta
-from itertools import pairwise
+from collections.abc import Sequence
+from datetime import datetime
 
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
-from daemon.store.records import EPOCH, GapCause, GapRecord
+from daemon.store.records import GapCause, GapRecord
+from daemon.store.runs import run_between, slot_at, unix_s, without
 from daemon.store.schema import GapRow, MeasurementRow
-
-
-def unix_s(slot_utc: datetime) -> int:
-    """Whole Unix seconds of a slot."""
-    return (slot_utc - EPOCH) // timedelta(seconds=1)
-
-
-def slot_at(unix: int) -> datetime:
-    """The slot of whole Unix seconds."""
-    return EPOCH + timedelta(seconds=unix)
-
-
-def next_second(time_utc: datetime) -> datetime:
-    """The first whole second from a moment on; as a limit it parts slots just as the moment."""
-    if not time_utc.microsecond:
-        return time_utc
-    return time_utc.replace(microsecond=0) + timedelta(seconds=1)
-
-
-def run_between(first: datetime, last: datetime, period_s: int) -> range:
-    """The slots from `first` to `last`, both included.
-
-    Raises ValueError unless they lie a whole number of periods apart, in this order.
-    """
-    start, end = unix_s(first), unix_s(last)
-    if period_s < 1 or end < start or (end - start) % period_s:
-        msg = f"{first} to {last} is not a run of slots {period_s} s apart"
-        raise ValueError(msg)
-    return range(start, end + period_s, period_s)
-
-
-def without(slots: range, taken: Collection[int]) -> Iterator[range]:
-    """The runs that are left of `slots` when the taken ones go, in order."""
-    borders = [slots.start - slots.step, *sorted(t for t in taken if t in slots), slots.stop]
-    for before, after in pairwise(borders):
-        run = range(before + slots.step, after, slots.step)
-        if run:
-            yield run
-
-
-def overlap(one: range, other: range) -> int:
-    """How many slots two runs share."""
-    if one.step == other.step and (one.start - other.start) % one.step == 0:
-        common = range(max(one.start, other.start), min(one.stop, other.stop), one.step)
-        return len(common)
-    shorter, longer = sorted((one, other), key=len)
-    return sum(slot in longer for slot in shorter)
 
 
 def record_missed(session: Session, slots: range, cause: GapCause, detail: str) -> int:

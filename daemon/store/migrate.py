@@ -12,9 +12,10 @@ from alembic.config import Config
 from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, Engine, inspect, text
 
+from daemon.store import revisions
 from daemon.store.copying import backup
 from daemon.store.engine import translated
-from daemon.store.errors import DatabaseDamagedError, DatabaseNewerError, DatabaseOlderError
+from daemon.store.errors import DatabaseDamagedError
 
 
 def alembic_config() -> Config:
@@ -26,11 +27,17 @@ def alembic_config() -> Config:
 
 def head_revision() -> str:
     """The revision this version of the program works with."""
-    head = ScriptDirectory.from_config(alembic_config()).get_current_head()
-    if head is None:
+    return known_revisions()[-1]
+
+
+def known_revisions() -> list[str]:
+    """The revisions whose scripts are installed, in the order in which they are applied."""
+    scripts = ScriptDirectory.from_config(alembic_config())
+    known = [script.revision for script in scripts.walk_revisions()][::-1]
+    if not known:
         msg = "no migrations are installed: install the program anew"
         raise RuntimeError(msg)
-    return head
+    return known
 
 
 def revision(connection: Connection, path: Path) -> str | None:
@@ -53,13 +60,7 @@ def require_head(engine: Engine, path: Path) -> None:
     """Raise DatabaseNewerError or DatabaseOlderError unless the revision is this version's."""
     with translated(path), engine.connect() as connection:
         found = revision(connection, path)
-    _require_known(found, path)
-    if found != head_revision():
-        msg = (
-            f"{path}: written by an older version (revision {found}, this one needs "
-            f"{head_revision()}): start dcamd once, it migrates after a backup"
-        )
-        raise DatabaseOlderError(msg)
+    revisions.require_head(found, path, known_revisions())
 
 
 def migrate(engine: Engine, path: Path, now_utc: datetime) -> Path | None:
@@ -69,7 +70,7 @@ def migrate(engine: Engine, path: Path, now_utc: datetime) -> Path | None:
     """
     with translated(path), engine.connect() as connection:
         found = revision(connection, path)
-    _require_known(found, path)
+    revisions.require_known(found, path, known_revisions())
     if found == head_revision():
         return None
     saved = None
@@ -96,17 +97,6 @@ def _upgrade(engine: Engine) -> None:
     with engine.execution_options(dcam_begin="IMMEDIATE").begin() as connection:
         config.attributes["connection"] = connection
         command.upgrade(config, "head")
-
-
-def _require_known(found: str | None, path: Path) -> None:
-    scripts = ScriptDirectory.from_config(alembic_config())
-    known = {script.revision for script in scripts.walk_revisions()}
-    if found is not None and found not in known:
-        msg = (
-            f"{path}: written by a newer version (revision {found}, this one knows up to "
-            f"{head_revision()}): install that version again, or restore the backup made before it"
-        )
-        raise DatabaseNewerError(msg)
 
 
 def _clear_half_copies(path: Path) -> None:

@@ -8,12 +8,17 @@ from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
-from core.results import CalibrationReport, Measurement
+from core.results import CalibrationReport, Measurement, Reason
 
 if TYPE_CHECKING:
     from core.calibration import Calibration
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+BELIEVED = ("", Reason.CALIBRATION_DRIFTING.value)
+"""Reasons, as the table holds them, of the rows that later ones are judged by."""
+SLIPPED = (Reason.BOARD_SLIPPED.value,)
+"""And of those that show a board that is not where it was calibrated."""
 
 
 class GapCause(StrEnum):

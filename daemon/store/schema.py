@@ -6,7 +6,7 @@ slots `2026-03-01T00:00:00Z`, instants `2026-03-01T00:00:00.000000Z`.
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Any, ClassVar
 
 from sqlalchemy import (
@@ -24,28 +24,7 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from daemon.store.errors import DamagedRowError
 from daemon.store.records import GapCause
-
-DIGEST = "digest"
-"""The column of every table that holds its row's checksum."""
-
-
-def slot_text(slot_utc: datetime) -> str:
-    """A slot as the database, file names' tables and exports write it.
-
-    Raises ValueError for a time without zone or with a fraction of a second.
-    """
-    if slot_utc.tzinfo is None or slot_utc.microsecond:
-        msg = f"not a slot (whole seconds, with a time zone): {slot_utc.isoformat()}"
-        raise ValueError(msg)
-    return slot_utc.astimezone(UTC).replace(tzinfo=None).isoformat(timespec="seconds") + "Z"
-
-
-def instant_text(time_utc: datetime) -> str:
-    """A moment, to the microsecond. Raises ValueError for a time without zone."""
-    if time_utc.tzinfo is None:
-        msg = f"not a moment in UTC (no time zone): {time_utc.isoformat()}"
-        raise ValueError(msg)
-    return time_utc.astimezone(UTC).replace(tzinfo=None).isoformat(timespec="microseconds") + "Z"
+from daemon.store.times import instant_text, slot_text
 
 
 class Slot(TypeDecorator[datetime]):

@@ -11,7 +11,7 @@ from alembic import command
 from daemon.recovery import mark_stop
 from daemon.store.engine import make_engine
 from daemon.store.migrate import alembic_config
-from daemon.store.schema import slot_text
+from daemon.store.times import slot_text
 from drivers.errors import DeviceLostError
 from tests.crash.disk import Tree
 from tests.crash.promises import STEP, Promises

@@ -11,8 +11,9 @@ from alembic import command
 from sqlalchemy import update
 
 from daemon.store import migrate
+from daemon.store.checksum import row_digest
 from daemon.store.database import Store, open_store, open_store_readonly
-from daemon.store.digest import CheckedSession, row_digest
+from daemon.store.digest import CheckedSession
 from daemon.store.engine import make_engine
 from daemon.store.errors import DatabaseDamagedError
 from daemon.store.records import GapCause, Mark

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from daemon.store.database import Store, open_store
 from daemon.store.errors import SlotTakenError
-from daemon.store.gaps import overlap, without
 from daemon.store.records import Coverage, GapCause, GapRecord
+from daemon.store.runs import overlap, without
 from tests.store.examples import BAD, PERIOD_S, full_measurement, record, slot
 
 SLOTS = 24

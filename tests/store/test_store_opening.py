@@ -27,7 +27,8 @@ from daemon.store.errors import (
     DatabaseUnwritableError,
     StoreError,
 )
-from daemon.store.schema import Base, slot_text
+from daemon.store.schema import Base
+from daemon.store.times import slot_text
 from tests.store.examples import full_record, record, slot
 
 NOW = datetime(2026, 3, 1, 12, 34, 56, tzinfo=UTC)

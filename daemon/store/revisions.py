@@ -1,0 +1,41 @@
+"""Which revisions of the tables there are, without loading Alembic, which knows from its scripts.
+
+A test holds the two together: whoever adds a migration adds its name here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from daemon.store.errors import DatabaseDamagedError, DatabaseNewerError, DatabaseOlderError
+
+REVISIONS = ("0001", "0002", "0003", "0004")
+"""In the order in which they are applied; the last is this version's."""
+
+
+def require_head(found: str | None, path: Path, known: Sequence[str] = REVISIONS) -> None:
+    """Raise DatabaseNewerError or DatabaseOlderError unless the revision is this version's.
+
+    Raises DatabaseDamagedError where this program never made any table.
+    """
+    if found is None:
+        msg = f"{path}: a SQLite database, but not one of this program: name another --state"
+        raise DatabaseDamagedError(msg)
+    require_known(found, path, known)
+    if found != known[-1]:
+        msg = (
+            f"{path}: written by an older version (revision {found}, this one needs "
+            f"{known[-1]}): start dcamd once, it migrates after a backup"
+        )
+        raise DatabaseOlderError(msg)
+
+
+def require_known(found: str | None, path: Path, known: Sequence[str] = REVISIONS) -> None:
+    """Raise DatabaseNewerError for a revision that this version does not know."""
+    if found is not None and found not in known:
+        msg = (
+            f"{path}: written by a newer version (revision {found}, this one knows up to "
+            f"{known[-1]}): install that version again, or restore the backup made before it"
+        )
+        raise DatabaseNewerError(msg)
