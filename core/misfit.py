@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from statistics import median
+
+import numpy as np
 
 WINDOW = 200
 """Rows that say what is usual."""
@@ -27,4 +28,4 @@ def misfit(
 
 def lasting_misfit(misfits: Sequence[float]) -> float | None:
     """The median over many rows; None of too few to tell."""
-    return median(misfits) if len(misfits) >= _FEW else None
+    return float(np.median(misfits)) if len(misfits) >= _FEW else None

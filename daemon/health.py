@@ -200,5 +200,5 @@ def _sizes(state: Path, last: MeasurementRecord | None) -> Iterator[int]:
     for name in (last.main_frame, last.sub_frame) if last else ():
         if name is not None:
             first = state / name
-            slot, role = first.name.split("_")
-            yield from (path.stat().st_size for path in first.parent.glob(f"{slot}*_{role}"))
+            slot, _, role = first.name.partition("_")
+            yield from (path.stat().st_size for path in first.parent.glob(f"{slot}*{role}"))

@@ -6,6 +6,8 @@ import csv
 import io
 import json
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Callable
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
@@ -371,3 +373,26 @@ def test_a_format_of_a_later_part_is_not_offered(site: Site) -> None:
 
 def test_a_copied_state_can_be_read_without_its_config(site: Site, ctl: Ctl) -> None:
     assert ctl("--state", site.state, "gaps").code == 0
+
+
+def test_status_loads_no_numerics_no_orm_and_no_logger(site: Site) -> None:
+    """A monitoring system asks every minute: it shall not wait for what only a slot needs."""
+    program = (
+        "import sys; from daemon.ctl import main; code = main(); "
+        "print(*sorted({name.partition('.')[0] for name in sys.modules}), file=sys.stderr); "
+        "sys.exit(code)"
+    )
+    at = (site.end - MINUTE).isoformat()
+    where = ("--config", site.config, "--state", site.state)
+    with sole_writer(site.state):
+        ran = subprocess.run(
+            [sys.executable, "-c", program, *where, "status", "--at", at],
+            cwd=Path(__file__).parents[2],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    assert ran.returncode == 0, ran.stdout
+    slow = {"scipy", "cv2", "numba", "sqlalchemy", "alembic", "apscheduler", "structlog", "rich"}
+    assert slow.isdisjoint(ran.stderr.split())

@@ -5,7 +5,6 @@ import sqlite3
 
 import click
 import pytest
-from sqlalchemy.exc import OperationalError
 
 from core.errors import NotObservableError
 from daemon.errors import ConfigError, DcamError, HardwareError, UsageError, WorkFailedError, run
@@ -36,7 +35,6 @@ def run_raising(error: BaseException | None, *flags: str) -> int:
         (OSError(errno.ENOSPC, "No space left on device", "/x"), 4, "/x: No space left on device"),
         (DatabaseNewerError("made by 9.0"), 5, "made by 9.0"),
         (sqlite3.OperationalError("disk I/O error"), 5, "disk I/O error"),
-        (OperationalError("SELECT\n1", {}, Exception("locked")), 5, "database: locked"),
         (ZeroDivisionError("by zero"), 1, "internal error: ZeroDivisionError: by zero"),
         (KeyboardInterrupt(), 1, "interrupted"),
         (DcamError("two\nlines"), 1, "two lines"),

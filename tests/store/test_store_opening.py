@@ -27,6 +27,7 @@ from daemon.store.errors import (
     DatabaseUnwritableError,
     StoreError,
 )
+from daemon.store.revisions import REVISIONS
 from daemon.store.schema import Base
 from daemon.store.times import slot_text
 from tests.store.examples import full_record, record, slot
@@ -127,6 +128,10 @@ def test_migrations_make_what_the_program_expects(tmp_path: Path) -> None:
     finally:
         migrated.dispose()
         declared.dispose()
+
+
+def test_the_names_of_all_migrations_are_known_without_loading_them() -> None:
+    assert list(REVISIONS) == migrate.known_revisions()
 
 
 def test_an_old_database_is_saved_and_then_migrated(

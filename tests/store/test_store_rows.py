@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from core.results import Flag
-from daemon.store import database, engine
+from daemon.store import database, sqlite
 from daemon.store.database import Store, open_store, open_store_readonly
 from daemon.store.errors import DatabaseBusyError, SlotTakenError, StoreError
 from tests.store.examples import (
@@ -150,7 +150,7 @@ def test_every_connection_syncs_every_commit(store: Store) -> None:
 
 def test_a_place_that_cannot_hold_a_log_is_refused() -> None:
     with pytest.raises(StoreError, match="SQLite refuses journal_mode=WAL"):
-        engine.connect(Path(":memory:"))
+        sqlite.connect(Path(":memory:"))
 
 
 def test_a_reader_does_not_hold_up_the_writer(store: Store, tmp_path: Path) -> None:
@@ -189,7 +189,7 @@ def test_a_reader_cannot_write(store: Store, tmp_path: Path) -> None:
 
 
 def test_a_lock_that_stays_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine, "BUSY_TIMEOUT_S", 0.01)
+    monkeypatch.setattr(sqlite, "BUSY_TIMEOUT_S", 0.01)
     with open_store(tmp_path) as store, outside(tmp_path) as other:
         other.execute("BEGIN IMMEDIATE")
         with pytest.raises(DatabaseBusyError, match="another program holds it locked"):
