@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import structlog
 
-from daemon.store import engine
+from daemon.store import sqlite
 from daemon.store.database import Store
 from daemon.store.records import MeasurementRecord
 from daemon.store.times import slot_text
@@ -52,8 +52,8 @@ def acknowledged_before_commit(patch: pytest.MonkeyPatch) -> None:
 
 def weaken(patch: pytest.MonkeyPatch, value: str, number: int) -> None:
     """Let every connection sync less than FULL."""
-    pragmas = [pragma for pragma in engine._PRAGMAS if pragma[0] != "synchronous"]
-    patch.setattr(engine, "_PRAGMAS", (*pragmas, ("synchronous", value, number)))
+    pragmas = [pragma for pragma in sqlite._PRAGMAS if pragma[0] != "synchronous"]
+    patch.setattr(sqlite, "_PRAGMAS", (*pragmas, ("synchronous", value, number)))
 
 
 def leave_out(patch: pytest.MonkeyPatch, left_out: Callable[[int], bool]) -> None:
