@@ -25,6 +25,8 @@ COMMANDS = {
     "status": "Last value, cameras, coverage, gaps, disk; Nagios exit codes.",
     "gaps": "List slots without a measurement, and why.",
     "export": "Write measurements as a table.",
+    "plot": "Draw a figure of the record, PNG or SVG.",
+    "report": "Write the record of a span as one HTML file.",
     "backup": "Copy the database while the daemon runs.",
     "redate": "Put right the times of what was taken under a wrong clock.",
     "reprocess": "Measure kept frames or a frame set again.",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -14,7 +13,7 @@ from typing import TextIO
 from core.results import Measurement
 from daemon.store.checksum import DIGEST
 from daemon.store.convert import BURST_COLUMNS, RESULT_COLUMNS, measurement_columns
-from daemon.store.durable import fsync_directory, temporary_name
+from daemon.store.durable import fsync_directory, fsync_file, temporary_name
 from daemon.store.records import MeasurementRecord
 from daemon.store.schema import MeasurementRow
 from daemon.store.times import instant_text, slot_text
@@ -26,7 +25,7 @@ EXTRA_COLUMNS = tuple(
 )
 """What `export` adds, in the order of the database."""
 
-_SLOTS = {"slot_utc", "redated_from_utc"}
+SLOTS = {"slot_utc", "redated_from_utc"}
 
 
 def write_results(
@@ -65,24 +64,29 @@ def opened_output(path: Path | None) -> Iterator[TextIO]:
         with path.open("w", encoding="utf-8", newline="") as file:
             yield file
     else:
-        with _replacing(path) as file:
+        with (
+            replacing(path) as temporary,
+            temporary.open("w", encoding="utf-8", newline="") as file,
+        ):
             yield file
 
 
 @contextmanager
-def _replacing(path: Path) -> Iterator[TextIO]:
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a name to write to; the file appears complete and durable, or not at all.
+
+    Raises OSError.
+    """
     path = path.resolve()  # a link is followed, not replaced
     temporary = temporary_name(path)
     try:
-        file = temporary.open("w", encoding="utf-8", newline="")
+        temporary.touch()
     except OSError as error:
         error.filename = str(path.parent)  # what stands in the way; nobody knows the other name
         raise
     try:
-        with file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
+        yield temporary
+        fsync_file(temporary)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -106,5 +110,5 @@ def _cell(name: str, value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, datetime):
-        return slot_text(value) if name in _SLOTS else instant_text(value)
+        return slot_text(value) if name in SLOTS else instant_text(value)
     return repr(value) if isinstance(value, float) else str(value)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
@@ -88,8 +88,14 @@ def require_matplotlib() -> None:
         raise MissingLibraryError(msg)
 
 
-def draw(series: Series, gaps: Sequence[GapSpan], title: str, path: Path) -> None:
-    """Write the figure as PNG or SVG, by the suffix of `path`. Raises MissingLibraryError."""
+def draw(
+    series: Series,
+    gaps: Sequence[GapSpan],
+    title: str,
+    output: Path | BinaryIO,
+    file_format: str = "png",
+) -> None:
+    """Write the figure as `png` or `svg`. Raises MissingLibraryError."""
     require_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
@@ -115,7 +121,7 @@ def draw(series: Series, gaps: Sequence[GapSpan], title: str, path: Path) -> Non
     panels[-1].xaxis.set_major_locator(locator)
     panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
     panels[-1].set_xlabel("UTC")
-    figure.savefig(path, dpi=110)
+    figure.savefig(output, dpi=110, format=file_format)
 
 
 def _broken_at_gaps(series: Series, gaps: Sequence[GapSpan]) -> Series:

@@ -11,7 +11,6 @@ import tempfile
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from datetime import timedelta
 from pathlib import Path
 
 import click
@@ -28,8 +27,9 @@ from daemon.commands.status import print_status
 from daemon.config import Installation, find_installation
 from daemon.devices import open_clock, open_simulated_rig
 from daemon.errors import UsageError, WorkFailedError
-from daemon.figure import GapSpan, draw, require_matplotlib, series_of
+from daemon.figure import draw, require_matplotlib, series_of
 from daemon.health import look
+from daemon.history import gap_spans
 from daemon.store.database import Store, open_store, open_store_readonly
 from daemon.store.records import GapRecord, MeasurementRecord
 from daemon.verdict import judge
@@ -200,13 +200,10 @@ def draw_figure(
     path: Path,
 ) -> None:
     """Draw raw, corrected and true displacement, its error, and the rig's motion."""
-    half_slot = timedelta(seconds=gaps[0].period_s / 2) if gaps else timedelta()
-    spans = [
-        GapSpan(gap.first_slot_utc - half_slot, gap.last_slot_utc + half_slot, gap.cause.value)
-        for gap in gaps
-    ]
     series = series_of([(row.slot_utc, row.measurement) for row in rows], true_mm)
-    draw(series, spans, "Simulated rig 22 m from its target: raw, corrected and true", path)
+    draw(
+        series, gap_spans(gaps), "Simulated rig 22 m from its target: raw, corrected and true", path
+    )
 
 
 def _require_success(unaccounted: int, errors: Sequence[Errors]) -> None:

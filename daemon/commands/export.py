@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 
@@ -15,8 +16,10 @@ from daemon.commands.options import (
     span_options,
 )
 from daemon.commands.output import note
-from daemon.export import opened_output, write_records
+from daemon.errors import UsageError
+from daemon.export import opened_output, replacing, write_records
 from daemon.store.database import ALWAYS, NEVER, open_store_readonly
+from daemon.store.records import MeasurementRecord
 
 
 @click.command(
@@ -26,10 +29,10 @@ from daemon.store.database import ALWAYS, NEVER, open_store_readonly
 @click.option(
     "--format",
     "file_format",
-    type=click.Choice(["csv"]),
+    type=click.Choice(["csv", "parquet", "netcdf"]),
     default="csv",
     show_default=True,
-    help="What to write.",
+    help="What to write; parquet needs dcam's extra of that name.",
 )
 @output_option
 @common_options
@@ -46,8 +49,29 @@ def command(
     flag: 1 good, 3 suspect (value given, reason named), 4 bad (value withheld), 9 missing.
     The daemon may run meanwhile.
     """
-    del file_format  # one so far
-    with open_store_readonly(options.state) as store, opened_output(output) as table:
-        count = write_records(store.measurements(since or ALWAYS, until or NEVER), table)
+    with open_store_readonly(options.state) as store:
+        records = store.measurements(since or ALWAYS, until or NEVER)
+        if file_format == "csv":
+            with opened_output(output) as table:
+                count = write_records(records, table)
+        else:
+            count = _write_file(file_format, records, output, options)
     if output is not None:
         note(f"{count} rows written to {output}")
+
+
+def _write_file(
+    file_format: str,
+    records: Iterator[MeasurementRecord],
+    output: Path | None,
+    options: Options,
+) -> int:
+    from daemon.export_files import write_netcdf, write_parquet
+
+    if output is None:
+        msg = f"--format {file_format} writes a file: give --output FILE"
+        raise UsageError(msg)
+    with replacing(output) as temporary:
+        if file_format == "parquet":
+            return write_parquet(records, temporary)
+        return write_netcdf(records, temporary, options.config.name)

@@ -7,14 +7,16 @@ slots `2026-03-01T00:00:00Z`, instants `2026-03-01T00:00:00.000000Z`.
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from sqlalchemy import (
+    Boolean,
     CheckConstraint,
     Dialect,
     Float,
     ForeignKey,
     Index,
+    Integer,
     Text,
     TypeDecorator,
     UniqueConstraint,
@@ -255,3 +257,15 @@ class MarkRow(Base):
 
     name: Mapped[str] = mapped_column(primary_key=True)
     value: Mapped[str]
+
+
+def kind_of(column: str) -> Literal["time", "real", "whole", "truth", "text"]:
+    """What a column of `measurement` holds."""
+    sql = MeasurementRow.__table__.columns[column].type
+    if isinstance(sql, Slot):
+        return "time"
+    if isinstance(sql, Boolean):
+        return "truth"
+    if isinstance(sql, Integer):
+        return "whole"
+    return "real" if isinstance(sql, Float) else "text"

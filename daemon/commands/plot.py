@@ -1,0 +1,59 @@
+"""`dcam-ctl plot`: a figure of the record."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+
+import click
+
+from daemon.commands.options import Options, common_options, pass_options, span_options
+from daemon.commands.output import note
+from daemon.errors import UsageError
+from daemon.export import replacing
+from daemon.store.database import open_store_readonly
+from daemon.wording import coverage_text
+
+SUFFIXES = (".png", ".svg")
+
+
+@click.command("plot", epilog="\b\nExample:\n  dcam-ctl plot --since 7d --output week.svg")
+@span_options
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    required=True,
+    help="Where to draw: a name that ends in .png or .svg.",
+)
+@common_options
+@pass_options
+def command(options: Options, since: datetime | None, until: datetime | None, output: Path) -> None:
+    """Draw raw and corrected displacement with sigma and flags, the rig's motion, and the gaps.
+
+    Of a long span every so-manieth row is drawn, and the title says so. The daemon may run
+    meanwhile. Needs dcam's extra `plot`.
+    """
+    from daemon.figure import draw, require_matplotlib
+    from daemon.history import gap_spans, read_history
+
+    if output.suffix.lower() not in SUFFIXES:
+        msg = f"--output {output}: name a file that ends in {' or '.join(SUFFIXES)}"
+        raise UsageError(msg)
+    require_matplotlib()
+    schedule = options.config.schedule
+    with open_store_readonly(options.state) as store:
+        history = read_history(
+            store, since, until, period_s=schedule.period_s, offset_s=schedule.offset_s
+        )
+    thinned = f", every {history.every}th row" if history.every > 1 else ""
+    title = f"{options.config.name}: displacement of the target{thinned}"
+    with replacing(output) as temporary:
+        draw(
+            history.series,
+            gap_spans(history.gaps),
+            title,
+            temporary,
+            file_format=output.suffix.lower()[1:],
+        )
+    note(f"{output}: {coverage_text(history.coverage)}")
