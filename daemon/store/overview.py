@@ -6,7 +6,6 @@ nothing reads the rows of a month one by one.
 
 from __future__ import annotations
 
-import json
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -207,14 +206,16 @@ class Overview:
         """
         query = (
             "SELECT slot_utc, sub_residual_px, sub_contrast_dn FROM measurement"
-            " WHERE slot_utc >= ? AND calibration_id = ? AND x_mm IS NOT NULL"
-            " AND reasons IN (SELECT value FROM json_each(?)) ORDER BY slot_utc DESC LIMIT ?"
+            " WHERE calibration_id = ? AND reasons = ? AND slot_utc >= ? AND x_mm IS NOT NULL"
+            " ORDER BY slot_utc DESC LIMIT ?"
         )
-        among = json.dumps(reasons)
-        found = self._all(query, slot_text(next_second(since)), calibration_id, among, limit)
+        begin = slot_text(next_second(since))
+        found = [
+            row for word in reasons for row in self._all(query, calibration_id, word, begin, limit)
+        ]
         return [
             Fit(datetime.fromisoformat(slot), residual_px or 0.0, contrast_dn or 0.0)
-            for slot, residual_px, contrast_dn in reversed(found)
+            for slot, residual_px, contrast_dn in sorted(found)[-limit:]
         ]
 
     def events(self, kind: str, since: datetime) -> int:

@@ -112,6 +112,8 @@ class MeasurementRow(Base):
             "redated_from_utc",
             sqlite_where=text("redated_from_utc IS NOT NULL"),
         ),
+        Index("ix_measurement_kin", "calibration_id", "reasons", "slot_utc"),
+        Index("ix_measurement_fate", "slot_utc", "flag"),
     )
 
     id: Mapped[int] = mapped_column(primary_key=True)
