@@ -21,6 +21,7 @@ COMMANDS = {
     "plan": "Foresee what a site will see and how well it will measure.",
     "target": "Printable PDF of both targets at true scale.",
     "calibrate": "Calibrate from a frame set or with the pan-tilt head.",
+    "preview": "Both cameras live, for aiming and focusing.",
     "capture": "Take and measure one pair now, and print it.",
     "status": "Last value, cameras, coverage, gaps, disk; Nagios exit codes.",
     "gaps": "List slots without a measurement, and why.",

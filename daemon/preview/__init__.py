@@ -1,0 +1,1 @@
+"""What both cameras see, live, for whoever aims and focuses them."""
