@@ -8,6 +8,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
+from datetime import datetime, timedelta
 from types import FrameType
 
 import click
@@ -29,13 +30,16 @@ from daemon.recovery import mark_stop, recover
 from daemon.reporting import Reporter
 from daemon.runner import SlotRunner
 from daemon.store.database import Store, open_store
+from daemon.store.errors import StoreError
 from daemon.store.frames import FrameArchive
+from daemon.supervision import PROCESS_SPENT, Circuit, ProcessSpentError
 from daemon.version import VERSION
 from drivers.errors import DriverError
 from drivers.protocols import FramePairSource
 
 _log = structlog.get_logger("dcam.daemon")
 
+DAY = timedelta(days=1)
 STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
@@ -109,12 +113,26 @@ def _run(
         opened.enter_context(control_socket(archive.state, pause))
         reporter.ready()
         prepare_cameras(source)
-        runner = SlotRunner(line, schedule, source, stop, last_utc, reporter, pause)
-        done = runner.run(max_slots)
+        circuit = Circuit(ended_before=len(store.events(clock.now_utc() - DAY, kind=PROCESS_SPENT)))
+        runner = SlotRunner(line, schedule, source, stop, last_utc, reporter, pause, circuit)
+        try:
+            done = runner.run(max_slots)
+        except ProcessSpentError as error:
+            note_spent(store, clock.now_utc(), error)
+            raise
         reporter.stopping()
     store.add_event(clock.now_utc(), "stopped", f"after {done} slots")
     mark_stop(store, clock.now_utc())
     _log.info("stopped", slots=done)
+
+
+def note_spent(store: Store, now_utc: datetime, error: ProcessSpentError) -> None:
+    """Enter in the history that this process gives up, so that the next one has more patience."""
+    _log.error("process_spent", error=str(error), exit_code=int(error.exit_code))
+    try:
+        store.add_event(now_utc, PROCESS_SPENT, str(error))
+    except StoreError as refused:
+        _log.error("event_not_recorded", error=str(refused))
 
 
 def prepare_cameras(source: FramePairSource) -> None:

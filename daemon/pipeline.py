@@ -27,15 +27,19 @@ from daemon.measuring import (
 )
 from daemon.sequence import in_sequence
 from daemon.store.database import NEVER, Store
-from daemon.store.errors import DiskFullError, StoreError
+from daemon.store.errors import StoreError
 from daemon.store.frames import FrameArchive, StoredPair, camera_state
 from daemon.store.records import GapCause, MeasurementRecord
 from daemon.store.times import slot_text
+from daemon.supervision import Action, Policy, policy_of
 from daemon.version import VERSION
-from drivers.errors import DeviceLostError, DriverError, FrameTimeoutError
-from drivers.protocols import Clock, FramePairSource
+from drivers.errors import DeviceError, DriverError
+from drivers.protocols import Clock, FramePairSource, Role
 
 _log = structlog.get_logger("dcam.daemon")
+
+RETRY_WITHIN_S = 1.0
+"""A pair that failed later than this after the slot's begin is not tried again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +49,10 @@ class Missed:
     slot_utc: datetime
     cause: GapCause
     detail: str
+    policy: Policy | None = None
+    """What is done about the error; None where there was none."""
+    cameras: tuple[Role, ...] = ()
+    """Those that gave no frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,22 +84,19 @@ def run_slot(
     started_s = line.clock.monotonic_s()
     synchronised = line.machine.clock_synchronised()
     try:
-        shots = take_burst(source, line.clock, slot_utc, line.burst)
-    except DriverError as error:
-        return _missed(slot_utc, _cause_of(error), str(error))
-    except Exception as error:  # noqa: BLE001 - a driver's fault costs this slot, not the daemon
-        _log.exception("capture_broke", slot=slot_text(slot_utc))
-        return _missed(slot_utc, GapCause.CAPTURE_FAILED, f"{type(error).__name__}: {error}")
-    stored = _keep_frames(line, slot_utc, shots)
+        shots = _take(line, slot_utc, source, started_s)
+    except Exception as error:  # noqa: BLE001 - whatever a driver raises costs this slot only
+        return _missed(slot_utc, error, GapCause.CAPTURE_FAILED)
     try:
+        stored = _keep_frames(line, slot_utc, shots)
         record = _measure_captured(line, slot_utc, shots, stored)
         record = replace(record, clock_synchronised=synchronised)
         if line.undated:
             line.store.add_undated(record)
         else:
             line.store.add_measurement(record)
-    except StoreError as error:
-        return _missed(slot_utc, _cause_of(error), str(error))
+    except Exception as error:  # noqa: BLE001 - as above; frames that were kept are measured late
+        return _missed(slot_utc, error, GapCause.STORAGE_FAILED)
     _acknowledge(line, record, started_s)
     return record
 
@@ -210,14 +215,29 @@ def _acknowledge(line: Pipeline, record: MeasurementRecord, started_s: float) ->
     )
 
 
-def _missed(slot_utc: datetime, cause: GapCause, detail: str) -> Missed:
+def _take(
+    line: Pipeline, slot_utc: datetime, source: FramePairSource, started_s: float
+) -> list[Shot]:
+    """Take the slot's pairs; what may be tried once more is, if that does not make them late."""
+    try:
+        return take_burst(source, line.clock, slot_utc, line.burst)
+    except DriverError as error:
+        passed_s = line.clock.monotonic_s() - started_s
+        if policy_of(error).action is not Action.RETRY or passed_s > RETRY_WITHIN_S:
+            raise
+        _log.warning("capture_tried_again", slot=slot_text(slot_utc), error=str(error))
+    return take_burst(source, line.clock, slot_utc, line.burst)
+
+
+def _missed(slot_utc: datetime, error: Exception, otherwise: GapCause) -> Missed:
+    """Say which slot was missed, and why; `otherwise` is the cause of what nobody foresaw."""
+    policy = policy_of(error)
+    cause, detail = policy.cause, str(error)
+    if cause is GapCause.UNKNOWN:
+        cause, detail = otherwise, f"{type(error).__name__}: {error}"
+        _log.error("slot_broke", slot=slot_text(slot_utc), exc_info=error)
     _log.warning("slot_missed", slot=slot_text(slot_utc), cause=cause.value, detail=detail)
-    return Missed(slot_utc, cause, detail)
-
-
-def _cause_of(error: DriverError | StoreError) -> GapCause:
-    if isinstance(error, DeviceLostError | FrameTimeoutError):
-        return GapCause.CAMERA_LOST
-    if isinstance(error, DriverError):
-        return GapCause.CAPTURE_FAILED
-    return GapCause.DISK_FULL if isinstance(error, DiskFullError) else GapCause.STORAGE_FAILED
+    cameras: tuple[Role, ...] = ()
+    if isinstance(error, DeviceError):
+        cameras = (error.role,) if error.role else ("main", "sub")
+    return Missed(slot_utc, cause, detail, policy, cameras)

@@ -9,6 +9,7 @@ from datetime import datetime, timedelta
 
 import structlog
 
+from core.results import Reason
 from daemon.absence import absence_text, read_absence
 from daemon.pause import Pause
 from daemon.pipeline import Missed, Pipeline, record_late, run_slot
@@ -16,9 +17,10 @@ from daemon.recovery import mark_finished
 from daemon.redating import Redated, put_right, split_at, undated_archive
 from daemon.reporting import Reporter
 from daemon.schedule import MissedSlots, Schedule
-from daemon.store.errors import StoreError
+from daemon.store.errors import DatabaseDamagedError, StoreError
 from daemon.store.records import GapCause, Mark, MeasurementRecord
 from daemon.store.times import slot_text
+from daemon.supervision import INTERNAL, Circuit
 from drivers.protocols import FramePairSource
 
 _log = structlog.get_logger("dcam.daemon")
@@ -45,6 +47,7 @@ class SlotRunner:
         last_utc: datetime | None,
         reporter: Reporter,
         pause: Pause | None = None,
+        circuit: Circuit | None = None,
     ) -> None:
         self._line = line
         self._schedule = schedule
@@ -52,6 +55,7 @@ class SlotRunner:
         self._stop = stop
         self._reporter = reporter
         self._pause = pause or Pause(source.close)
+        self._circuit = circuit or Circuit()
         self._last = last_utc
         """The last slot that is accounted for, or owed."""
         self._owed: deque[_Owed] = deque()
@@ -72,7 +76,10 @@ class SlotRunner:
         """Whether the clock was disciplined when last looked at."""
 
     def run(self, max_slots: int | None = None) -> int:
-        """Run until told to stop, or until so many slots have been run; give how many were."""
+        """Run until told to stop, or until so many slots have been run; give how many were.
+
+        Raises ProcessSpentError when only a fresh process may help, DatabaseDamagedError.
+        """
         done = 0
         while not self._stop.is_set() and (max_slots is None or done < max_slots):
             slot = self._next_slot()
@@ -134,7 +141,7 @@ class SlotRunner:
             self._last = slot
         self._settle_debts()
         self._mark_finished(slot, outcome)
-        self._reporter.slot_done(slot, outcome)
+        self._end_slot(slot, outcome)
 
     def _run_undated(self, slot: datetime) -> None:
         """Keep a pair whose slot nobody knows yet: the time since the boot will tell.
@@ -156,7 +163,17 @@ class SlotRunner:
                 self._note_change(slot, GapCause.CLOCK_WRONG)
         except StoreError as error:
             _log.error("event_not_recorded", error=str(error))
+        self._end_slot(slot, outcome)
+
+    def _end_slot(self, slot: datetime, outcome: MeasurementRecord | Missed) -> None:
+        """A cycle has ended: say so, and whether the next one makes sense in this process."""
         self._reporter.slot_done(slot, outcome)
+        if isinstance(outcome, Missed):
+            self._circuit.slot_ended(outcome.policy, outcome.detail)
+        elif Reason.INTERNAL_ERROR in outcome.measurement.reasons:
+            self._circuit.slot_ended(INTERNAL, Reason.INTERNAL_ERROR)
+        else:
+            self._circuit.slot_ended(None)
 
     def _owe(self, missed: MissedSlots, cause: GapCause, detail: str) -> None:
         self._owed.append(_Owed(missed, cause, detail))
@@ -168,6 +185,8 @@ class SlotRunner:
             owed = self._owed[0]
             try:
                 self._settle(owed)
+            except DatabaseDamagedError:
+                raise
             except StoreError as error:
                 _log.error("gap_not_recorded", cause=owed.cause.value, error=str(error))
                 return

@@ -10,7 +10,7 @@ import structlog
 
 from drivers.aravis_device import AravisDevice
 from drivers.deadline import DeadlineExceededError, DeadlineThread
-from drivers.errors import DeviceError, DeviceLostError
+from drivers.errors import DeviceError, DeviceHangsError, DeviceLostError
 from drivers.genicam_session import Session
 from drivers.protocols import CameraSettings, CapturedFrame, Role
 
@@ -59,7 +59,7 @@ class AravisCamera:
         self._left_behind = [thread for thread in self._left_behind if thread.alive]
         if len(self._left_behind) > MAX_LEFT_BEHIND:
             msg = f"camera {self._serial}: calls into Aravis hang; restart the program"
-            raise DeviceLostError(msg, self._role)
+            raise DeviceHangsError(msg, self._role)
         device = AravisDevice(self._serial, self._settings.open_timeout_s)
         session = Session(device, self._serial, self._settings)
         thread = DeadlineThread(f"aravis-{self._serial}", session.release)

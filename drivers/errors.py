@@ -21,6 +21,10 @@ class DeviceLostError(DeviceError):
     """The camera is gone: the object must be closed and opened anew."""
 
 
+class DeviceHangsError(DeviceLostError):
+    """A call into the camera's library has not come back: only a fresh process may use it again."""
+
+
 class FrameTimeoutError(DeviceError):
     """No frame came within the deadline."""
 

@@ -13,7 +13,7 @@ from typing import TypeVar
 import structlog
 
 from drivers.deadline import DeadlineThread
-from drivers.errors import DeviceError, DeviceLostError, FrameTimeoutError
+from drivers.errors import DeviceError, DeviceHangsError, DeviceLostError, FrameTimeoutError
 from drivers.protocols import Camera, CapturedFrame, CapturedPair, Clock, Role
 
 _T = TypeVar("_T")
@@ -183,12 +183,12 @@ class _Lane:
         if self._left_behind is not None:
             if self._left_behind.alive:
                 msg = f"{self._trouble}, and still has not; restart the program if it stays so"
-                raise self._lost(msg)
+                raise DeviceHangsError(self._named(msg), self._role)
             self._left_behind, self._open = None, False  # whatever it opened, it closed
         left_s = self._not_before_s - self._clock.monotonic_s()
         if not self._open and left_s > 0.0:
             msg = f"{self._trouble}; next attempt in {left_s:.0f} s"
-            raise self._lost(msg)
+            raise DeviceLostError(self._named(msg), self._role)
         if self._thread is None:
             self._thread = DeadlineThread(f"{self._role}-camera", self._camera.close)
         return self._thread.submit(lambda: step(self))
@@ -199,7 +199,7 @@ class _Lane:
         if not future.done():
             self._abandon()
             self._give_up(f"{what} did not end within {timeout_s:g} s")
-            raise self._lost(self._trouble)
+            raise DeviceLostError(self._named(self._trouble), self._role)
         try:
             result = future.result()
         except DeviceError as error:
@@ -240,7 +240,7 @@ class _Lane:
         if self._thread is not None:
             self._thread.submit(self._camera.close)
 
-    def _lost(self, trouble: str) -> DeviceLostError:
-        if self._camera.serial not in trouble:
-            trouble = f"{self._role} camera {self._camera.serial}: {trouble}"
-        return DeviceLostError(trouble, self._role)
+    def _named(self, trouble: str) -> str:
+        if self._camera.serial in trouble:
+            return trouble
+        return f"{self._role} camera {self._camera.serial}: {trouble}"

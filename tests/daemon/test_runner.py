@@ -3,8 +3,19 @@
 import pytest
 
 from core.results import Flag, Reason
-from daemon.store.errors import ArchiveError, DatabaseUnwritableError, DiskFullError
-from drivers.errors import DeviceLostError, FrameTimeoutError, IncompleteFrameError
+from daemon.store.errors import (
+    ArchiveError,
+    DatabaseDamagedError,
+    DatabaseUnwritableError,
+    DiskFullError,
+)
+from daemon.supervision import Circuit, ProcessSpentError
+from drivers.errors import (
+    DeviceHangsError,
+    DeviceLostError,
+    FrameTimeoutError,
+    IncompleteFrameError,
+)
 
 
 def raising(error: Exception):
@@ -33,7 +44,6 @@ def test_slots_become_rows_on_the_minute_with_their_frames(station) -> None:
     [
         (DeviceLostError("main camera is gone", "main"), "camera_lost"),
         (FrameTimeoutError("no frame", "sub"), "camera_lost"),
-        (IncompleteFrameError("12 of 100 packets", "sub"), "capture_failed"),
         (RuntimeError("a bug in a driver"), "capture_failed"),
     ],
 )
@@ -42,6 +52,83 @@ def test_slots_without_a_pair_are_one_gap_with_the_cause(station, error, cause) 
     assert station.minutes() == [0, 3, 4]
     assert station.gaps() == [(1, 2, cause)]
     assert str(error) in station.store.gaps()[0].detail
+
+
+def test_a_pair_that_came_incomplete_is_taken_once_more_in_its_slot(station) -> None:
+    broken = raising(IncompleteFrameError("12 of 100 packets", "sub"))
+    station.run(3, {1: broken, 3: broken, 4: broken})
+    assert station.minutes() == [0, 1]
+    assert station.gaps() == [(2, 2, "capture_failed")]
+
+
+def test_what_is_late_already_is_not_taken_again(station) -> None:
+    def late() -> None:
+        station.clock.advance(1.5)
+        raising(IncompleteFrameError("12 of 100 packets", "sub"))()
+
+    station.run(2, {0: late})
+    assert station.minutes() == [1]
+
+
+def test_slots_that_fail_for_no_foreseen_reason_end_the_process(station) -> None:
+    """Three in a row; one that went well between them begins the count anew."""
+    bug = raising(RuntimeError("a bug in a driver"))
+    with pytest.raises(ProcessSpentError, match="3 slot") as ended:
+        station.run(9, {1: bug, 2: bug, 4: bug, 5: bug, 6: bug})
+    assert ended.value.exit_code == 1
+    assert station.minutes() == [0, 3]
+    assert station.gaps() == [(1, 2, "capture_failed"), (4, 6, "capture_failed")]
+
+
+def test_every_end_of_a_process_makes_the_next_one_more_patient(station) -> None:
+    bug = raising(RuntimeError("a bug in a driver"))
+    runner = station.start()
+    runner._circuit = Circuit(ended_before=2)
+    station.source.orders = dict.fromkeys(range(20), bug)
+    with pytest.raises(ProcessSpentError, match="12 slot"):
+        runner.run(20)
+
+
+def test_a_camera_that_is_lost_never_ends_the_process(station) -> None:
+    station.run(100, dict.fromkeys(range(100), raising(DeviceLostError("gone", "main"))))
+    assert station.gaps() == [(0, 99, "camera_lost")]
+
+
+def test_a_library_that_hangs_for_good_ends_the_process_with_the_code_of_hardware(station) -> None:
+    hangs = raising(DeviceHangsError("open did not end", "main"))
+    with pytest.raises(ProcessSpentError) as ended:
+        station.run(100, dict.fromkeys(range(100), hangs))
+    assert ended.value.exit_code == 4
+    assert station.gaps() == [(0, 29, "camera_lost")]
+
+
+def test_a_database_damaged_in_a_run_ends_the_process_so_that_the_next_one_salvages(
+    station, monkeypatch
+) -> None:
+    damaged = raising(DatabaseDamagedError("page 7"))
+    monkeypatch.setattr(station.store, "add_measurement", lambda _: damaged())
+    with pytest.raises((DatabaseDamagedError, ProcessSpentError)) as ended:
+        station.run(3)
+    assert ended.value.exit_code == 5
+    assert len(station.source.captures) == 1
+
+
+def test_a_break_outside_the_cameras_costs_its_slot_and_its_frames_are_measured_late(
+    station, monkeypatch
+) -> None:
+    real = station.store.add_measurement
+    calls = []
+
+    def breaks_once(record) -> None:
+        calls.append(record)
+        if len(calls) == 1:
+            raise ZeroDivisionError
+        real(record)
+
+    monkeypatch.setattr(station.store, "add_measurement", breaks_once)
+    station.run(2)
+    assert station.minutes() == [0, 1]
+    assert next(iter(station.store.measurements())).recorded_late
 
 
 def test_slot_that_takes_too_long_costs_the_next_ones(station) -> None:
