@@ -1,4 +1,5 @@
-# dcam: `make demo`, `make test`, `make check`, `make bench`, `make clean`.
+# dcam: `make demo`, `make test`, `make check`, `make bench`, `make clean`; as root `make install`,
+# `make uninstall`; `make deb`.
 # Each makes .venv here and installs what it needs; a second run finds it all in place.
 # Another Python (3.11 or newer): make PYTHON=/path/to/python3 test
 
@@ -8,13 +9,15 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.stamp-installed
 
 .DELETE_ON_ERROR:
-.PHONY: help demo test check bench clean
+.PHONY: help demo test check bench clean install uninstall deb
 
 help:
 	@echo "make demo    calibrate, measure 60 slots and more, and compare with the truth: out/demo"
 	@echo "make test    run the tests"
 	@echo "make check   lint, types, import contracts"
 	@echo "make bench   measure time and memory: docs/benchmarks.md"
+	@echo "make install install or upgrade the service, as root: /opt/dcam; make uninstall keeps data"
+	@echo "make deb     build a Debian package: dist/"
 	@echo "make clean   remove .venv and everything made here"
 
 demo: $(INSTALLED)
@@ -32,6 +35,16 @@ check: $(INSTALLED)
 
 bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks --output docs/benchmarks.md
+
+# Neither works in this folder's environment: each makes one of its own, with its pip.
+install: $(VENV)/.stamp-venv
+	@PYTHON=$(PYTHON) deploy/install $(BIN)/python
+
+uninstall:
+	@deploy/uninstall
+
+deb: $(VENV)/.stamp-venv
+	@PYTHON=$(PYTHON) deploy/make-deb $(BIN)/python dist
 
 clean:
 	rm -rf $(VENV) out dist build .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

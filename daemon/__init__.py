@@ -2,7 +2,12 @@
 
 import os
 
+from daemon.loop_cache import loop_cache
+
 # Our matrices have a few hundred rows. Threads that share such work wait for one another, spinning:
 # a calibration takes five times as long where another program wants the second core, and the other
 # program suffers. Read by numpy's and scipy's OpenBLAS when first imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Read by Numba when first imported.
+if directory := loop_cache():
+    os.environ["NUMBA_CACHE_DIR"] = directory

@@ -14,7 +14,6 @@ from pathlib import Path
 from core.misfit import WINDOW, lasting_misfit, misfit
 from daemon.config import Config
 from daemon.lock import LOCK_NAME
-from daemon.machine import clock_is_synchronised
 from daemon.store.overview import ActiveCalibrationSummary, Overview, open_overview
 from daemon.store.records import (
     BELIEVED,
@@ -26,6 +25,7 @@ from daemon.store.records import (
     MeasurementRecord,
 )
 from daemon.store.runs import schedule_slots
+from daemon.synchronised import clock_is_synchronised
 
 DAY = timedelta(days=1)
 MONTH = timedelta(days=30)

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import ctypes
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from daemon.synchronised import Synchronisation
 from drivers.protocols import Clock
 
 BOOT_ID_FILE = Path("/proc/sys/kernel/random/boot_id")
-
-_TIME_ERROR = 5
-"""What adjtimex(2) answers as long as nothing disciplines the clock; a clock that was set by hand
-counts as undisciplined until NTP has confirmed it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +27,7 @@ class Machine:
 
 def this_machine() -> Machine:
     """The machine that this runs on."""
-    return Machine(read_boot_id(), uptime_s, clock_is_synchronised)
+    return Machine(read_boot_id(), uptime_s, Synchronisation())
 
 
 def simulated_machine(clock: Clock) -> Machine:
@@ -47,13 +43,3 @@ def read_boot_id() -> str:
 def uptime_s() -> float:
     """Seconds since the boot of the machine, sleep included (CLOCK_BOOTTIME, clock_gettime(2))."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)
-
-
-def clock_is_synchronised() -> bool | None:
-    """Ask the kernel whether something (NTP, PTP) disciplines the clock; None: it does not say."""
-    try:
-        # A zeroed struct timex only reads; 512 bytes are more than it has on any platform.
-        answer = ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(512))
-    except (OSError, AttributeError):
-        return None
-    return None if answer < 0 else answer != _TIME_ERROR

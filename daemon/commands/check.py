@@ -23,9 +23,9 @@ from daemon.devices import open_clock, open_head, open_pair_source, require_back
 from daemon.errors import ConfigError, DcamError, ExitCode, exit_code_of, lines_of
 from daemon.health import dcamd_runs, has_stepped_clock
 from daemon.lock import sole_writer
-from daemon.machine import clock_is_synchronised
 from daemon.store.database import open_store_readonly
 from daemon.store.errors import DatabaseMissingError, StoreError
+from daemon.synchronised import clock_is_synchronised
 from daemon.wording import bytes_text
 from drivers.errors import DriverError
 

@@ -1,0 +1,193 @@
+"""`make install` and `make deb`: what lands where, what an upgrade keeps, what a failure leaves.
+
+Our own package only (`--no-deps`): what is installed beside it is pip's business.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from daemon.ctl import cli
+from daemon.errors import run
+
+ROOT = Path(__file__).parents[2]
+OWN_CONFIG = '[site]\nname = "ours"\n'
+OFFLINE = {
+    "WHEEL_FLAGS": "--no-build-isolation --no-index",
+    "PIP_FLAGS": "--no-deps --no-index",
+    "DEB_COMPRESSION": "none",
+}
+
+
+def deploy(script: str, *arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(ROOT / "deploy" / script), *(str(argument) for argument in arguments)],
+        env={**os.environ, "PYTHON": sys.executable, **OFFLINE, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def install(tree: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    return deploy("install", sys.executable, DESTDIR=str(tree), **environment)
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tree with one installation; not to be changed."""
+    tree = tmp_path_factory.mktemp("tree")
+    done = install(tree)
+    assert done.returncode == 0, done.stderr
+    return tree
+
+
+@pytest.fixture
+def tree(installed: Path, tmp_path: Path) -> Path:
+    """A copy of it."""
+    return Path(shutil.copytree(installed, tmp_path / "tree", symlinks=True))
+
+
+def release(tree: Path) -> str:
+    return str((tree / "opt/dcam/venv").readlink())
+
+
+def test_what_the_service_needs_is_in_place(installed: Path) -> None:
+    for name in (
+        "lib/systemd/system/dcamd.service",
+        "lib/sysusers.d/dcam.conf",
+        "lib/tmpfiles.d/dcam.conf",
+        "lib/sysctl.d/60-dcam.conf",
+        "lib/udev/rules.d/60-dcam.rules",
+        "share/dcam/config.example.toml",
+        "share/doc/dcam/docs/install.md",
+        "share/bash-completion/completions/dcam-ctl",
+    ):
+        assert stat.S_IMODE((installed / "usr/local" / name).stat().st_mode) == 0o644
+    for program in ("dcamd", "dcam-ctl"):
+        link = (installed / "usr/local/bin" / program).readlink()
+        assert link == Path("/opt/dcam/venv/bin") / program
+        first_line = (installed / "opt/dcam/venv/bin" / program).read_text().splitlines()[0]
+        assert first_line.startswith(f"#!/opt/dcam/{release(installed)}/bin/python")
+
+
+def test_nothing_installed_names_the_place_it_was_made_in(installed: Path) -> None:
+    """Programs, their config, compiled files with the paths that tracebacks show."""
+    made_in = str(installed).encode()
+    named = [
+        path
+        for path in installed.rglob("*")
+        if path.is_file() and not path.is_symlink() and made_in in path.read_bytes()
+    ]
+    assert named == []
+
+
+def test_first_config_is_refused_until_it_is_the_sites_own(
+    installed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    config = installed / "etc/dcam/dcam.toml"
+    assert run(cli, "dcam-ctl", ["--config", str(config), "--state", str(tmp_path), "check"]) == 3
+    assert "camera.main.serial: not set" in capfd.readouterr().out
+
+
+def test_upgrade_keeps_config_and_data_and_the_release_before(tree: Path) -> None:
+    config, data = tree / "etc/dcam/dcam.toml", tree / "var/lib/dcam/dcam.db"
+    config.write_text(OWN_CONFIG)
+    data.parent.mkdir(parents=True)
+    data.write_bytes(b"rows")
+    before = release(tree)
+
+    done = install(tree)
+
+    assert done.returncode == 0, done.stderr
+    assert release(tree) != before
+    assert (tree / "opt/dcam" / before / "bin/dcamd").is_file()
+    assert (config.read_text(), data.read_bytes()) == (OWN_CONFIG, b"rows")
+
+    done = deploy("uninstall", DESTDIR=str(tree))
+
+    assert done.returncode == 0, done.stderr
+    assert (config.read_text(), data.read_bytes()) == (OWN_CONFIG, b"rows")
+    left = [path for path in tree.rglob("*") if not path.is_dir()]
+    assert sorted(left) == sorted([config, data])
+    assert "/var/lib/dcam" in done.stdout
+    assert "/etc/dcam" in done.stdout
+
+
+@pytest.mark.parametrize("broken", [{"PIP_FLAGS": "--no-such-flag"}, {"PYTHON": "/bin/false"}])
+def test_a_step_that_fails_leaves_the_old_installation(tree: Path, broken: dict[str, str]) -> None:
+    before = release(tree)
+
+    done = install(tree, **broken)
+
+    assert done.returncode != 0
+    assert "what was there is as it was" in done.stderr
+    assert release(tree) == before
+    assert list((tree / "opt/dcam/releases").iterdir()) == [tree / "opt/dcam" / before]
+
+
+def test_an_environment_made_by_hand_gives_way(tree: Path) -> None:
+    """It was a folder where now a link is."""
+    by_hand = tree / "opt/dcam/venv"
+    by_hand.unlink()
+    (by_hand / "bin").mkdir(parents=True)
+    assert install(tree).returncode == 0
+    assert by_hand.is_symlink()
+    assert (tree / "opt/dcam/releases/before/bin").is_dir()
+
+
+@pytest.mark.skipif(not shutil.which("systemd-sysusers"), reason="systemd is not installed")
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to a user")
+def test_user_and_directories_are_made_as_the_unit_wants_them(tree: Path) -> None:
+    local = tree / "usr/local/lib"
+    for command in (
+        ["systemd-sysusers", f"--root={tree}", str(local / "sysusers.d/dcam.conf")],
+        ["systemd-tmpfiles", f"--root={tree}", "--create", str(local / "tmpfiles.d/dcam.conf")],
+    ):
+        subprocess.run(command, check=True, capture_output=True)
+    fields = (tree / "etc/passwd").read_text().split(":")
+    user, uid, home, shell = fields[0], int(fields[2]), fields[5], fields[6].strip()
+    assert (user, home, shell) == ("dcam", "/var/lib/dcam", "/usr/sbin/nologin")
+    groups = (line.split(":") for line in (tree / "etc/group").read_text().splitlines())
+    assert {group[0] for group in groups if group[3] == "dcam"} == {"dialout"}
+    state = (tree / "var/lib/dcam").stat()
+    assert (state.st_uid, stat.S_IMODE(state.st_mode)) == (uid, 0o750)
+
+
+@pytest.mark.skipif(not shutil.which("dpkg-deb"), reason="dpkg is not installed")
+def test_debian_package_holds_it_all(tmp_path: Path) -> None:
+    done = deploy("make-deb", sys.executable, tmp_path)
+    assert done.returncode == 0, done.stderr
+    (package,) = tmp_path.glob("dcam_*.deb")
+
+    def ask(*words: str) -> str:
+        return subprocess.run(
+            ["dpkg-deb", *words], check=True, capture_output=True, text=True
+        ).stdout
+
+    python = f"{sys.version_info.major}.{sys.version_info.minor}"
+    depends = ask("--field", str(package), "Depends").strip().split(", ")
+    assert {f"python3 (>= {python})", "python3-gi", "gir1.2-aravis-0.8"} <= set(depends)
+    files = {}
+    for line in ask("--contents", str(package)).splitlines():
+        mode, owner, _size, _day, _hour, name, *_target = line.split()
+        assert owner == "root/root"
+        files[name.removeprefix(".")] = mode
+    assert files["/opt/dcam/venv/bin/dcamd"] == "-rwxr-xr-x"
+    assert files["/usr/bin/dcam-ctl"].startswith("l")
+    for name in ("systemd/system/dcamd.service", "udev/rules.d/60-dcam.rules", "dcam/live"):
+        assert f"/usr/lib/{name}" in files
+    assert not [name for name in files if name.startswith(("/etc/", "/var/", "/usr/local/"))]
+    ask("--control", str(package), str(tmp_path / "control"))
+    for script in ("preinst", "postinst", "prerm", "postrm"):
+        subprocess.run(["sh", "-n", str(tmp_path / "control" / script)], check=True)
+    ask("--extract", str(package), str(tmp_path / "tree"))
+    first_line = (tmp_path / "tree/opt/dcam/venv/bin/dcamd").read_text().splitlines()[0]
+    assert first_line.startswith("#!/opt/dcam/venv/bin/python")
