@@ -78,6 +78,7 @@ def _contradictions(config: Config) -> list[str]:
             f"schedule.offset_s: must be less than period_s = {schedule.period_s}, "
             f"is {schedule.offset_s}"
         )
+    problems += _exposure_problems(config)
     problems += _burst_problems(config)
     head = config.pan_tilt
     for axis, home, (low, high) in (
@@ -102,12 +103,38 @@ def _contradictions(config: Config) -> list[str]:
     return problems
 
 
+def _exposure_problems(config: Config) -> list[str]:
+    """Name limits that are no limits, starts outside them, and frames that would not be awaited."""
+    exposure = config.exposure
+    problems = []
+    timeout_s = config.trigger.timeout_s
+    if exposure.longest_us / 1e6 >= timeout_s:
+        problems.append(
+            f"exposure: {exposure.longest_us:g} us are not over within trigger.timeout_s = "
+            f"{timeout_s:g}; expose shorter or wait longer"
+        )
+    if exposure.mode == "fixed":
+        return problems
+    for name, start, (low, high) in (
+        ("main_limits_us", exposure.main_us, exposure.main_limits_us),
+        ("sub_limits_us", exposure.sub_us, exposure.sub_limits_us),
+        ("main_gain_limits_db", exposure.main_gain_db, exposure.main_gain_limits_db),
+        ("sub_gain_limits_db", exposure.sub_gain_db, exposure.sub_gain_limits_db),
+    ):
+        key = name.replace("_limits", "")
+        if low > high or (low == high and name.endswith("_us")):
+            problems.append(f"exposure.{name}: the lower limit first, is [{low:g}, {high:g}]")
+        elif start is not None and not low <= start <= high:
+            problems.append(f"exposure.{key}: {start:g} is not within {name} = [{low:g}, {high:g}]")
+    return problems
+
+
 def _burst_problems(config: Config) -> list[str]:
     """Name what keeps the pairs of a burst from being taken, one after the other, in their slot."""
     schedule, exposure = config.schedule, config.exposure
     if schedule.burst == 1:
         return []
-    exposure_s = max(exposure.main_us, exposure.sub_us) / 1e6
+    exposure_s = exposure.longest_us / 1e6
     if schedule.burst_spacing_s <= exposure_s:
         problem = (
             f"schedule.burst_spacing_s: must be longer than the exposure of {exposure_s:g} s, "

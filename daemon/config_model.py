@@ -44,6 +44,11 @@ HeadBackend = Literal["ptu", "pelco-d", "simulated"]
 Angle = Annotated[float, Field(ge=-179.99, le=179.99)]
 AnglePair = Annotated[tuple[Angle, Angle], Strict(strict=False)]
 
+Time = Annotated[float, Field(ge=1.0, le=1e7)]
+TimePair = Annotated[tuple[Time, Time], Strict(strict=False)]
+Gain = Annotated[float, Field(ge=0.0, le=60.0)]
+GainPair = Annotated[tuple[Gain, Gain], Strict(strict=False)]
+
 DEFAULT_STATE_DIRECTORY = Path("/var/lib/dcam")
 
 BURST_SHARE = 0.5
@@ -67,12 +72,28 @@ class ScheduleSection(Section):
 
 
 class ExposureSection(Section):
-    """`[exposure]`: fixed exposure and gain of each camera; no gain means the camera's lowest."""
+    """`[exposure]`: fixed, or the start of a loop that follows the light within limits.
 
+    No gain means the camera's lowest.
+    """
+
+    mode: Literal["fixed", "auto"] = "fixed"
     main_us: float = Field(default=5000.0, ge=1.0, le=1e7)
     sub_us: float = Field(default=5000.0, ge=1.0, le=1e7)
     main_gain_db: float | None = Field(default=None, ge=0.0, le=60.0)
     sub_gain_db: float | None = Field(default=None, ge=0.0, le=60.0)
+    white_level: float = Field(default=0.65, ge=0.3, le=0.75)
+    main_limits_us: TimePair = (50.0, 100_000.0)
+    sub_limits_us: TimePair = (50.0, 100_000.0)
+    main_gain_limits_db: GainPair = (0.0, 12.0)
+    sub_gain_limits_db: GainPair = (0.0, 12.0)
+
+    @property
+    def longest_us(self) -> float:
+        """The longest exposure that there may be."""
+        if self.mode == "fixed":
+            return max(self.main_us, self.sub_us)
+        return max(self.main_limits_us[1], self.sub_limits_us[1])
 
 
 class TriggerSection(Section):

@@ -19,6 +19,7 @@ from daemon.config import Installation
 from daemon.control import control_socket
 from daemon.devices import open_clock, open_pair_source, require_backend
 from daemon.errors import run
+from daemon.exposure import last_known, loop_of
 from daemon.health import has_stepped_clock
 from daemon.lock import sole_writer
 from daemon.log import configure_log
@@ -99,6 +100,7 @@ def _run(
         archive,
         clock,
         config.burst_plan(),
+        exposure=loop_of(config),
         machine=simulated_machine(clock) if has_stepped_clock(config) else this_machine(),
         late_row_done=reporter.late_row_done,
     )
@@ -112,6 +114,8 @@ def _run(
         pause = Pause(source.close)
         opened.enter_context(control_socket(archive.state, pause))
         reporter.ready()
+        if line.exposure is not None:
+            line.exposure.begin(source, last_known(store))
         prepare_cameras(source)
         circuit = Circuit(ended_before=len(store.events(clock.now_utc() - DAY, kind=PROCESS_SPENT)))
         runner = SlotRunner(line, schedule, source, stop, last_utc, reporter, pause, circuit)

@@ -15,6 +15,7 @@ import structlog
 from core.results import Measurement
 from core.site import Site
 from daemon.burst import BurstPlan, Shot, take_burst
+from daemon.exposure import ExposureLoop
 from daemon.machine import Machine, this_machine
 from daemon.measuring import (
     ActiveCalibration,
@@ -65,6 +66,8 @@ class Pipeline:
     archive: FrameArchive
     clock: Clock
     burst: BurstPlan = field(default_factory=BurstPlan)
+    exposure: ExposureLoop | None = None
+    """What follows the light from slot to slot; None where exposure is fixed."""
     machine: Machine = field(default_factory=this_machine)
     undated: bool = False
     """Whether the clock is before the last slot: pairs are kept apart then, until their slots are
@@ -89,8 +92,10 @@ def run_slot(
         return _missed(slot_utc, error, GapCause.CAPTURE_FAILED)
     try:
         stored = _keep_frames(line, slot_utc, shots)
-        record = _measure_captured(line, slot_utc, shots, stored)
+        calibration = active_calibration(line.store)
+        record = _measure_captured(line, slot_utc, shots, stored, calibration)
         record = replace(record, clock_synchronised=synchronised)
+        _follow_light(line, source, shots, record.measurement, calibration)
         if line.undated:
             line.store.add_undated(record)
         else:
@@ -143,9 +148,12 @@ def measure_stored(line: Pipeline, slot_utc: datetime) -> MeasurementRecord:
 
 
 def _measure_captured(
-    line: Pipeline, slot_utc: datetime, shots: Sequence[Shot], stored: StoredPair | None
+    line: Pipeline,
+    slot_utc: datetime,
+    shots: Sequence[Shot],
+    stored: StoredPair | None,
+    calibration: ActiveCalibration | None,
 ) -> MeasurementRecord:
-    calibration = active_calibration(line.store)
     pairs = [image_pair(shot.pair) for shot in shots]
     first = shots[0].pair
     return MeasurementRecord(
@@ -180,6 +188,23 @@ def _measure(
 def _in_state(line: Pipeline, path: str) -> str:
     """A path of the archive as one of the state directory."""
     return (line.archive.state / path).relative_to(line.store.path.parent).as_posix()
+
+
+def _follow_light(
+    line: Pipeline,
+    source: FramePairSource,
+    shots: Sequence[Shot],
+    measurement: Measurement,
+    calibration: ActiveCalibration | None,
+) -> None:
+    """Set the next slot's exposure by this one's; whatever goes wrong leaves it as it is."""
+    if line.exposure is None:
+        return
+    setup = calibration.calibration.setup if calibration else None
+    try:
+        line.exposure.follow(source, [shot.pair for shot in shots], measurement, setup)
+    except Exception:  # noqa: BLE001 - a fault of ours costs the adjustment, not the row
+        _log.exception("exposure_not_followed")
 
 
 def _keep_frames(line: Pipeline, slot_utc: datetime, shots: Sequence[Shot]) -> StoredPair | None:

@@ -17,6 +17,7 @@ from core.site import FloatArray, Site
 from daemon.calibration.session import FOLDER, new_directory, write_frame
 from daemon.calibration.sight import Sight, common_motion_px, settled_sight
 from daemon.errors import HardwareError
+from daemon.exposure import ExposureLoop
 from drivers.frameset import FrameSet, FrameSetRow, read_frame_set, write_table
 from drivers.protocols import Clock, FramePairSource
 
@@ -40,6 +41,8 @@ class Bench:
     clock: Clock
     hold_board: Callable[[int | None], None] | None
     """Holds the board in pose n, and bonds it with None; None where a person does."""
+    exposure: ExposureLoop | None = None
+    """Follows the light on the board from look to look; None: fixed."""
 
 
 @dataclass(slots=True)
@@ -87,6 +90,8 @@ def _look(bench: Bench, views: LensViews) -> str:
         slot_utc, sight = settled_sight(bench.source, bench.clock, bench.site, board_only=True)
     except HardwareError:
         return "not kept: the board moves; hold it still"
+    if bench.exposure is not None:
+        bench.exposure.follow(bench.source, [sight.pair], roles=["sub"])
     if sight.problems or sight.board is None:
         return f"not kept: {'; '.join(sight.problems)}"
     points = sight.board.view.points_px

@@ -20,6 +20,7 @@ from core.errors import CalibrationError
 from core.site import Site
 from daemon.calibration.positions import ZERO, Limits, Position, planned_positions
 from daemon.calibration.sight import Sight, settled_sight
+from daemon.exposure import ExposureLoop, settle
 from daemon.store.durable import make_directory_durable, write_durable
 from drivers.errors import DriverError
 from drivers.frameset import (
@@ -31,7 +32,7 @@ from drivers.frameset import (
     read_frame_set,
     write_table,
 )
-from drivers.protocols import CapturedFrame, Clock, FramePairSource, PanTiltHead
+from drivers.protocols import CapturedFrame, Clock, FramePairSource, PanTiltHead, Role
 
 FOLDER = "calibrations"
 """Below the state directory; one directory a session, named by its time in UTC."""
@@ -60,6 +61,8 @@ class Rig:
     hold_board: Callable[[int | None], None] | None
     """Brings the board into pose n before the sub-camera, and back to its place with None;
     None for a rig whose board is in somebody's hand or bonded already."""
+    exposure: ExposureLoop | None = None
+    """What settles the light before the first view; then all are exposed alike. None: fixed."""
 
 
 class Plan(BaseModel):
@@ -70,6 +73,8 @@ class Plan(BaseModel):
     config_hash: str
     positions: tuple[Position, ...]
     state: Literal["taking", "taken"]
+    exposures: dict[Role, tuple[float, float | None]] = {}
+    """Exposure in us and gain in dB of all views, where they were settled by the light."""
 
 
 @dataclass(slots=True)
@@ -148,6 +153,8 @@ def take_views(
             session = _begin(rig, state, config_hash, lens_views, on_step, on_trouble)
         else:
             session = resume
+            for role, exposure in session.plan.exposures.items():
+                rig.source.set_exposure(role, *exposure)
             # Whether anything moved while nobody looked shows at the zero.
             _take_position(rig, session, len(session.plan.positions), ZERO, on_step, on_trouble)
         for number, position in enumerate(session.plan.positions):
@@ -199,12 +206,13 @@ def _begin(
     """Take lens views and zero, and plan the positions from what the zero shows."""
     if rig.hold_board is not None and lens_views is None:
         rig.hold_board(None)
+    exposures = _settled_light(rig)
     first_utc, sight = settled_sight(rig.source, rig.clock, rig.site)
     if sight.problems or sight.discs is None:
         raise CalibrationError("before calibrating: " + "; ".join(sight.problems))
     positions = tuple(planned_positions(rig.site, sight.discs, rig.limits))
     directory = new_directory(state / FOLDER / f"{first_utc:%Y%m%dT%H%M%SZ}")
-    plan = Plan(config_hash=config_hash, positions=positions, state="taking")
+    plan = Plan(config_hash=config_hash, positions=positions, state="taking", exposures=exposures)
     session = Session(directory, plan, [])
     session.note(plan)
     if lens_views is not None:
@@ -224,6 +232,14 @@ def _begin(
         raise CalibrationError("zero: " + "; ".join(seen.problems))
     session.add(_keep(session, slot_utc, "reference", seen, rig.head, None))
     return session
+
+
+def _settled_light(rig: Rig) -> dict[Role, tuple[float, float | None]]:
+    """Let the light be followed before the first view, and give the exposures found."""
+    if rig.exposure is None:
+        return {}
+    settle(rig.source, rig.clock, rig.exposure)
+    return {role: (at.time_us, at.gain_db) for role, at in rig.exposure.asked.items()}
 
 
 def _take_position(

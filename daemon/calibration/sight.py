@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import datetime
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -17,10 +16,9 @@ from core.errors import CoreError
 from core.frames import GreyImage
 from core.site import FloatArray, Site
 from daemon.errors import HardwareError
+from daemon.exposure import LOOK_PERIOD_S, next_second
 from drivers.protocols import CapturedPair, Clock, FramePairSource
 
-LOOK_PERIOD_S = 1.0
-"""Between two looks at the board that must show it at the same place."""
 SETTLE_TIMEOUT_S = 30.0
 STILL_PX = 0.05
 """A board that moves less between two looks is at rest: a hundredth of a pixel is noise."""
@@ -141,7 +139,7 @@ def settled_sight(
     moved_px = np.inf
     first_s = clock.monotonic_s()
     while clock.monotonic_s() - first_s < SETTLE_TIMEOUT_S:
-        slot_utc = _next_second(clock)
+        slot_utc = next_second(clock)
         sight = see(source.capture(slot_utc), site)
         if sight.board is None:
             if before is None and clock.monotonic_s() - first_s < 2 * LOOK_PERIOD_S:
@@ -173,11 +171,3 @@ def common_motion_px(before: FloatArray, after: FloatArray) -> float:
     moved = (after - before[nearest])[close]
     common = design @ np.linalg.lstsq(design, moved, rcond=None)[0]
     return float(np.hypot(*common.T).max())
-
-
-def _next_second(clock: Clock) -> datetime:
-    """Wait for the next look; give its whole second, a new one every time."""
-    ready = clock.now_utc() + timedelta(seconds=LOOK_PERIOD_S)
-    slot_utc = ready.replace(microsecond=0) + timedelta(seconds=1 if ready.microsecond else 0)
-    clock.wait_until(slot_utc, threading.Event())
-    return slot_utc

@@ -34,6 +34,7 @@ from daemon.config import Config
 from daemon.control import cameras_to_oneself
 from daemon.devices import open_bench, open_calibration_rig, open_clock
 from daemon.errors import ExitCode, UsageError, WorkFailedError
+from daemon.exposure import loop_of
 from daemon.health import has_stepped_clock
 from daemon.store.database import Store, open_store
 from drivers.frameset import FrameSet, FrameSetRow, read_frame_set
@@ -303,6 +304,7 @@ def opened_rig(config: Config, before: Sequence[FrameSetRow]) -> Iterator[Rig]:
             Limits(*config.pan_tilt.room_deg()),
             clock,
             devices.hold_board,
+            loop_of(config),
         )
 
 
@@ -313,7 +315,7 @@ def opened_bench(config: Config) -> Iterator[Bench]:
     clock = open_clock(config, begin_utc=begin_utc)
     source, hold_board = open_bench(config, clock)
     with closing(source):
-        yield Bench(config.site(), source, clock, hold_board)
+        yield Bench(config.site(), source, clock, hold_board, loop_of(config))
 
 
 @contextmanager

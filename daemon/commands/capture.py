@@ -8,19 +8,21 @@ from pathlib import Path
 
 import click
 
+from core.exposure import Exposure
 from core.results import Measurement
 from daemon.burst import take_burst
 from daemon.commands.options import Options, common_options, json_option, pass_options
 from daemon.commands.output import print_json, result_fields, say
 from daemon.devices import open_clock, open_pair_source
 from daemon.errors import ExitCode
+from daemon.exposure import last_known, loop_of, settle
 from daemon.lock import sole_writer
 from daemon.measuring import ActiveCalibration, active_calibration, image_pair, measure
 from daemon.sequence import in_sequence
 from daemon.store.database import open_store_readonly
 from daemon.store.errors import DatabaseMissingError
 from daemon.wording import utc_text, value_text
-from drivers.protocols import CapturedFrame, CapturedPair
+from drivers.protocols import CapturedFrame, CapturedPair, Role
 
 
 @click.command("capture", epilog="\b\nExample:\n  dcam-ctl capture --json")
@@ -30,14 +32,19 @@ from drivers.protocols import CapturedFrame, CapturedPair
 def command(options: Options, as_json: bool) -> int:
     """Take one slot's pairs now, measure them with the active calibration, and print the result.
 
-    `[schedule] burst` says how many they are. Nothing is recorded. The cameras must be free:
+    `[schedule] burst` says how many they are; with `[exposure] mode = "auto"` light is settled
+    first, a second a look. Nothing is recorded. The cameras must be free:
     stop dcamd first. Exit code 1 if the slot gave no value, 4 if no pair could be taken.
     """
     config, state = options.config, options.state
     with sole_writer(state, "dcam-ctl capture"):
-        calibration, last_utc = _known(state)
+        calibration, last_utc, exposures = _known(state)
+        loop = loop_of(config)
         clock = open_clock(config, last_utc)
         with closing(open_pair_source(config, clock)) as source:
+            if loop is not None:
+                loop.begin(source, exposures)
+                settle(source, clock, loop)
             slot_utc = clock.now_utc().replace(microsecond=0)
             shots = take_burst(source, clock, slot_utc, config.burst_plan())
     site = config.site()
@@ -56,14 +63,20 @@ def command(options: Options, as_json: bool) -> int:
     return ExitCode.FAILED if measurement.corrected is None else ExitCode.DONE
 
 
-def _known(state: Path) -> tuple[ActiveCalibration | None, datetime | None]:
-    """The active calibration, and where the record ends; a state may still be empty."""
+def _known(
+    state: Path,
+) -> tuple[ActiveCalibration | None, datetime | None, dict[Role, Exposure]]:
+    """The active calibration, where the record ends, and its last exposures.
+
+    A state may still be empty.
+    """
     try:
         with open_store_readonly(state) as store:
             accounted = store.accounted()
-            return active_calibration(store), accounted[1] if accounted else None
+            last_utc = accounted[1] if accounted else None
+            return active_calibration(store), last_utc, last_known(store)
     except DatabaseMissingError:
-        return None, None
+        return None, None, {}
 
 
 def say_details(measurement: Measurement, pair: CapturedPair) -> None:

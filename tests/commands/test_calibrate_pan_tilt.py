@@ -24,6 +24,7 @@ from daemon.commands import calibrate as command
 from daemon.config import load_config
 from daemon.devices import open_clock, open_simulated_rig
 from daemon.errors import HardwareError
+from daemon.exposure import loop_of
 from daemon.store.database import open_store_readonly
 from drivers.frameset import FrameSet, read_frame_set
 from drivers.protocols import CapturedFrame, CapturedPair
@@ -51,6 +52,7 @@ class Watched:
     world: World
     moves: list[tuple[float, float]] = field(default_factory=list)
     captures: int = 0
+    exposures: list[tuple[str, float, float | None]] = field(default_factory=list)
     halted: int = 0
     spoil: Callable[[int, CapturedPair], CapturedPair] = lambda _number, pair: pair
     swing: Callable[[int], tuple[float, float]] = lambda _since: ZERO
@@ -71,6 +73,10 @@ class Watched:
     # the cameras
     def prepare(self) -> None:
         pass
+
+    def set_exposure(self, role: str, exposure_us: float, gain_db: float | None) -> None:
+        self.exposures.append((role, exposure_us, gain_db))
+        self._true_source.set_exposure(role, exposure_us, gain_db)
 
     def capture(self, slot_utc: datetime) -> CapturedPair:
         off = self.swing(self._since)
@@ -146,6 +152,42 @@ def test_planned_positions_keep_the_target_in_the_image(config: Path) -> None:
     for axis in (0, 1):
         angles = np.array(positions)[:, axis]
         assert abs(np.corrcoef(order, angles)[0, 1]) < 0.75  # no drift looks like an angle
+
+
+def test_the_light_is_settled_first_and_then_left_alone(config: Path, tmp_path: Path) -> None:
+    """From a start ten times too short; also when the session is taken up again."""
+    text = config.read_text() + '[exposure]\nmode = "auto"\nmain_us = 400.0\nsub_us = 500.0\n'
+    config.write_text(text)
+    made = watched(config)
+    made.rig = replace(made.rig, exposure=loop_of(load_config(config)))
+    pairs: list[tuple[int, CapturedPair]] = []
+
+    def interrupt(_number: int, pair: CapturedPair) -> CapturedPair:
+        pairs.append((len(made.exposures), pair))
+        if len(made.moves) == 4:
+            raise KeyboardInterrupt
+        return pair
+
+    made.spoil = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        take(made, tmp_path)
+    begun = unfinished(tmp_path, HASH)
+    assert begun is not None
+    settled = {role: (exposure_us, db) for role, exposure_us, db in made.exposures}
+    assert begun.plan.exposures == settled
+    looks = [pair for told, pair in pairs if told == len(made.exposures)]
+    assert len(looks) > 5
+    for pair in looks:
+        assert (pair.main.exposure_us, pair.main.gain_db) == settled["main"]
+        assert (pair.sub.exposure_us, pair.sub.gain_db) == settled["sub"]
+        assert 3000.0 < min(pair.main.exposure_us, pair.sub.exposure_us) < 6500.0
+    again = watched(config)
+    again.rig = replace(again.rig, clock=made.rig.clock, exposure=loop_of(load_config(config)))
+    again.spoil = interrupt
+    made.moves[4:] = []
+    with pytest.raises(KeyboardInterrupt):
+        take(again, tmp_path, begun)
+    assert {role: (us, db) for role, us, db in again.exposures} == settled
 
 
 def test_a_target_at_the_edge_of_its_image_is_told_before_anything_moves(config: Path) -> None:

@@ -226,6 +226,28 @@ def test_every_mistake_is_told_at_once(write) -> None:
         ("[schedule]\noffset_s = 60", "schedule.offset_s: must be less than period_s = 60"),
         ("[schedule]\nmax_late_s = 0", "schedule.max_late_s: must be greater than 0"),
         ("[exposure]\nmain_us = 0.005", "exposure.main_us: .* is this in milliseconds"),
+        ("[exposure]\nsub_us = 3e6", r"exposure: 3e\+06 us are not over within trigger.timeout_s"),
+        ("[exposure]\nwhite_level = 0.9", r"exposure.white_level: must be at most 0\.75"),
+        (
+            "[exposure]\nmode = 'auto'\nmain_us = 20.0",
+            r"exposure.main_us: 20 is not within main_limits_us = \[50, 100000\]",
+        ),
+        (
+            "[exposure]\nmode = 'auto'\nmain_gain_db = 20.0",
+            r"exposure.main_gain_db: 20 is not within main_gain_limits_db = \[0, 12\]",
+        ),
+        (
+            "[exposure]\nmode = 'auto'\nsub_limits_us = [9e4, 50.0]",
+            "exposure.sub_limits_us: the lower limit first",
+        ),
+        (
+            "[exposure]\nmode = 'auto'\nsub_gain_limits_db = [3.0, 1.0]",
+            "exposure.sub_gain_limits_db: the lower limit first",
+        ),
+        (
+            "[exposure]\nmode = 'auto'\nsub_limits_us = [50.0, 3e6]",
+            r"exposure: 3e\+06 us are not over within trigger.timeout_s = 2",
+        ),
         ("[log]\nlevel = 'loud'", "log.level: must be one of"),
         ("[storage]\ndir = '/tmp'", "storage.dir: unknown key; did you mean storage.directory"),
         (
