@@ -21,15 +21,14 @@ from typing import Literal
 import structlog
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from daemon.config_model import DEFAULT_STATE_DIRECTORY
 from daemon.errors import HardwareError
 from daemon.lock import sole_writer
 from daemon.pause import Pause
+from daemon.run_state import runtime_directory
 from daemon.version import VERSION
 
 _log = structlog.get_logger("dcam.daemon")
 
-RUNTIME_DIRECTORY = Path("/run/dcam")
 SOCKET_NAME = "control.sock"
 MAX_LINE_BYTES = 2000
 MAX_CONNECTIONS = 16
@@ -63,11 +62,6 @@ class Answer(BaseModel):
     """Why it is paused; empty while it measures."""
 
 
-def socket_directory(state: Path) -> Path:
-    """Where the socket of a state directory is: /run/dcam for the default one, else beside it."""
-    return RUNTIME_DIRECTORY if state == DEFAULT_STATE_DIRECTORY else state
-
-
 @contextmanager
 def _address(directory: Path) -> Iterator[str]:
     """A path to the socket that is short enough for any directory (the kernel takes 107 bytes)."""
@@ -87,7 +81,7 @@ def control_socket(state: Path, pause: Pause) -> Iterator[None]:
 
     Where no socket can be made the daemon measures all the same; its log says why.
     """
-    directory = socket_directory(state)
+    directory = runtime_directory(state)
     try:
         listening = _listen(directory)
     except OSError as error:
@@ -204,7 +198,7 @@ def paused_daemon(state: Path, reason: str) -> Iterator[bool]:
     Raises HardwareError when it answers, and does not pause.
     """
     with contextlib.ExitStack() as stack:
-        connection = _connect(socket_directory(state))
+        connection = _connect(runtime_directory(state))
         if connection is None:
             yield False
             return

@@ -1,4 +1,4 @@
-"""What is known of a site right now, from its disk alone: the facts behind `status`.
+"""What is known of a site right now, from its files alone: the facts behind `status`.
 
 Nothing here asks a camera or the daemon, so that looking never disturbs a slot.
 """
@@ -14,6 +14,8 @@ from pathlib import Path
 from core.misfit import WINDOW, lasting_misfit, misfit
 from daemon.config import Config
 from daemon.lock import LOCK_NAME
+from daemon.machine import read_boot_id, uptime_s
+from daemon.run_state import RunState, is_alive, read_run_state, runtime_directory
 from daemon.store.overview import ActiveCalibrationSummary, Overview, open_overview
 from daemon.store.records import (
     BELIEVED,
@@ -52,6 +54,11 @@ class Daemon:
     """Up to when every slot has its row or gap."""
     clean_stop_utc: datetime | None
     """None while it runs, and after it died."""
+    starts_24h: int
+    says: RunState | None
+    """What the one that runs says of itself; None where none runs, or it cannot write its file."""
+    silent_s: float
+    """How long ago it said so."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,17 +115,28 @@ def look(config: Config, state: Path, now_utc: datetime) -> Facts:
             coverage_24h=_coverage(config, overview, accounted, now_utc, DAY),
             coverage_30d=_coverage(config, overview, accounted, now_utc, MONTH),
             gaps=tuple(overview.gaps(now_utc - MONTH, now_utc)),
-            daemon=Daemon(
-                running=dcamd_runs(state),
-                heartbeat_utc=_mark_time(overview, Mark.HEARTBEAT_UTC),
-                clean_stop_utc=_mark_time(overview, Mark.CLEAN_STOP_UTC),
-            ),
+            daemon=_daemon(overview, state, now_utc),
             disk=_disk(state, last, config.schedule.period_s),
             frames_not_kept_24h=overview.rows_without_frames(now_utc - DAY, now_utc),
             simulated_clock=simulated,
             clock_synchronised=None if simulated else clock_is_synchronised(),
             undated=overview.undated(),
         )
+
+
+def _daemon(overview: Overview, state: Path, now_utc: datetime) -> Daemon:
+    running = dcamd_runs(state)
+    says = read_run_state(runtime_directory(state)) if running is not False else None
+    if says is not None and not is_alive(says, read_boot_id()):
+        says = None  # what a dcamd left that is no more
+    return Daemon(
+        running=running,
+        heartbeat_utc=_mark_time(overview, Mark.HEARTBEAT_UTC),
+        clean_stop_utc=_mark_time(overview, Mark.CLEAN_STOP_UTC),
+        starts_24h=overview.events("started", now_utc - DAY),
+        says=says,
+        silent_s=uptime_s() - says.told_s if says else 0.0,
+    )
 
 
 def _continuity(

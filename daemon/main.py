@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import faulthandler
 import signal
 import socket
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from datetime import datetime, timedelta
 from types import FrameType
@@ -29,8 +30,9 @@ from daemon.pause import Pause
 from daemon.pipeline import Pipeline
 from daemon.recovery import mark_stop, recover
 from daemon.reporting import Reporter
+from daemon.run_state import runtime_directory
 from daemon.runner import SlotRunner
-from daemon.store.database import Store, open_store
+from daemon.store.database import Store, database_bytes, open_store
 from daemon.store.errors import StoreError
 from daemon.store.frames import FrameArchive
 from daemon.supervision import PROCESS_SPENT, Circuit, ProcessSpentError
@@ -41,6 +43,10 @@ from drivers.protocols import FramePairSource
 _log = structlog.get_logger("dcam.daemon")
 
 DAY = timedelta(days=1)
+CLOSE_LIMIT_S = 30.0
+"""To close cameras and database, which have deadlines of their own."""
+EXIT_LIMIT_S = 10.0
+"""For libraries to end what they have begun, once everything of ours is closed."""
 STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
@@ -73,13 +79,15 @@ def serve(installation: Installation, max_slots: int | None = None) -> None:
     config = installation.config
     require_backend(config)
     configure_log(config.log.format, config.log.level)
-    reporter = Reporter(Notifier.from_environment())
     state = installation.state_directory
-    with stop_on_signals() as stop, sole_writer(state), closing(open_store(state)) as store:
-        try:
-            _run(installation, store, stop, reporter, max_slots)
-        finally:
-            reporter.stopping()
+    with stop_on_signals() as stop, sole_writer(state):
+        reporter = Reporter(Notifier.from_environment(), runtime_directory(state))
+        reporter.opening(database_bytes(state))
+        with time_limit_to_close() as begin_to_close, closing(open_store(state)) as store:
+            try:
+                _run(installation, store, stop, reporter, begin_to_close, max_slots)
+            finally:
+                reporter.stopping()
 
 
 def _run(
@@ -87,6 +95,7 @@ def _run(
     store: Store,
     stop: threading.Event,
     reporter: Reporter,
+    begin_to_close: Callable[[], None],
     max_slots: int | None,
 ) -> None:
     config = installation.config
@@ -111,20 +120,22 @@ def _run(
         last_utc = recover(line, schedule)
         store.add_event(clock.now_utc(), "started", f"version {VERSION}")
         _log.info("started", site=config.name, version=VERSION, state=str(archive.state))
-        pause = Pause(source.close)
+        pause = Pause(source.close, changed=reporter.paused)
         opened.enter_context(control_socket(archive.state, pause))
-        reporter.ready()
+        reporter.running(schedule.period_s, line.burst.limit_s if line.burst.count > 1 else 0.0)
         if line.exposure is not None:
             line.exposure.begin(source, last_known(store))
         prepare_cameras(source)
         circuit = Circuit(ended_before=len(store.events(clock.now_utc() - DAY, kind=PROCESS_SPENT)))
         runner = SlotRunner(line, schedule, source, stop, last_utc, reporter, pause, circuit)
+        opened.callback(begin_to_close)
         try:
             done = runner.run(max_slots)
         except ProcessSpentError as error:
             note_spent(store, clock.now_utc(), error)
             raise
-        reporter.stopping()
+        finally:
+            reporter.stopping()
     store.add_event(clock.now_utc(), "stopped", f"after {done} slots")
     mark_stop(store, clock.now_utc())
     _log.info("stopped", slots=done)
@@ -183,9 +194,31 @@ def _noted(_number: int, _frame: FrameType | None) -> None:
     """Do nothing: the interpreter has written the signal's number to the wakeup descriptor."""
 
 
+@contextmanager
+def time_limit_to_close() -> Iterator[Callable[[], None]]:
+    """Give a function that begins to count; when the block has ended, everything was closed.
+
+    The limit is kept by a thread that needs nothing of Python: where a library hangs and holds
+    the interpreter's lock, it prints where every thread is and ends the process (exit code 1).
+    A slot in progress is not limited so, but by the service manager.
+    """
+    try:
+        yield lambda: _end_within(CLOSE_LIMIT_S)
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+
+
+def _end_within(seconds: float) -> None:
+    if sys.__stderr__ is not None:
+        faulthandler.dump_traceback_later(seconds, exit=True, file=sys.__stderr__)
+
+
 def main() -> int:
     """Run `dcamd` and give its exit code."""
-    return run(cli, "dcamd")
+    faulthandler.enable()  # a process that the watchdog aborts tells where each thread hung
+    code = run(cli, "dcamd")
+    _end_within(EXIT_LIMIT_S)
+    return code
 
 
 if __name__ == "__main__":

@@ -14,13 +14,27 @@ class Notifier:
     socket are dropped: systemd notices by itself what it has not been told.
     """
 
-    def __init__(self, address: str | None) -> None:
+    def __init__(self, address: str | None, watchdog_s: float | None = None) -> None:
+        """`watchdog_s` is how long the service manager waits for a cycle; None: for ever."""
         self._address = address
+        self._watchdog_s = watchdog_s
 
     @classmethod
     def from_environment(cls, environ: Mapping[str, str] = os.environ) -> Notifier:
-        """Take the address from NOTIFY_SOCKET."""
-        return cls(environ.get("NOTIFY_SOCKET") or None)
+        """Take them from NOTIFY_SOCKET and WATCHDOG_USEC (sd_watchdog_enabled(3))."""
+        watchdog_us = environ.get("WATCHDOG_USEC", "")
+        of_us = environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+        watchdog_s = 1e-6 * int(watchdog_us) if of_us and watchdog_us.isdecimal() else 0.0
+        return cls(environ.get("NOTIFY_SOCKET") or None, watchdog_s or None)
+
+    def start_takes(self, seconds: float) -> None:
+        """Start-up goes on, and may take so long from now."""
+        self._send(f"EXTEND_TIMEOUT_USEC={1e6 * seconds:.0f}")
+
+    def cycles_take(self, seconds: float) -> None:
+        """Have the watchdog wait so long for a cycle, if there is one that waits for less."""
+        if self._watchdog_s is not None and self._watchdog_s < seconds:
+            self._send(f"WATCHDOG_USEC={1e6 * seconds:.0f}")
 
     def ready(self) -> None:
         """Start-up is over: the next slot will be taken."""

@@ -10,8 +10,14 @@ from contextlib import contextmanager
 class Pause:
     """One holder at a time keeps slots from being taken; the cameras are released meanwhile."""
 
-    def __init__(self, release_cameras: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        release_cameras: Callable[[], None],
+        changed: Callable[[str | None], None] = lambda _reason: None,
+    ) -> None:
+        """`changed` hears the reason when a pause begins, and None when it ends."""
         self._release_cameras = release_cameras
+        self._changed = changed
         self._slot = threading.Lock()
         """Held while a slot uses the cameras, and while the switch is thrown."""
         self._holder: object | None = None
@@ -37,6 +43,7 @@ class Pause:
             if self._holder is None:
                 self._release_cameras()
             self._holder, self._reason = holder, reason
+            self._changed(reason)
             return True
 
     def release(self, holder: object) -> None:
@@ -44,6 +51,7 @@ class Pause:
         with self._slot:
             if self._holder is holder:
                 self._holder = self._reason = None
+                self._changed(None)
 
     @contextmanager
     def slot(self) -> Iterator[str | None]:

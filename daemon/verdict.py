@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 
-from daemon.health import CAMERA_CAUSES, DAY, Disk, Facts
+from daemon.health import CAMERA_CAUSES, DAY, Daemon, Disk, Facts
 from daemon.store.records import Coverage
 from daemon.wording import bytes_text, coverage_text, span_text, utc_text, value_text
 
 LATE_SLOTS, LOST_SLOTS = 3, 10
 """Periods without a row before that is a warning, and critical."""
+MANY_STARTS = 5
+"""Of dcamd within 24 h: more is a warning."""
 STALE_GOOD_S, LOST_GOOD_S = 2 * 3600.0, 24 * 3600.0
 """Time without a good value before that is a warning, and critical: a dark night warns."""
 LOW_COVERAGE, LOST_COVERAGE = 0.95, 0.5
@@ -53,6 +56,7 @@ def judge(facts: Facts) -> list[Item]:
         _measurement(facts),
         _good_value(facts),
         _daemon(facts),
+        _supervision(facts),
         _cameras(facts),
         _calibration(facts),
         _coverage("coverage 24 h", facts.coverage_24h),
@@ -95,7 +99,7 @@ def _by_age(age: float, warning: float, critical: float) -> Level:
 def _daemon(facts: Facts) -> Item:
     daemon = facts.daemon
     if daemon.running:
-        return Item("daemon", Level.OK, "running")
+        return _running_daemon(daemon)
     if daemon.running is None:
         return Item("daemon", Level.UNKNOWN, "cannot be told: /proc/locks is not readable")
     if daemon.clean_stop_utc is not None:
@@ -108,8 +112,46 @@ def _daemon(facts: Facts) -> Item:
     return Item("daemon", Level.CRITICAL, text)
 
 
+def _running_daemon(daemon: Daemon) -> Item:
+    """What it says itself, and whether it has been silent for longer than a cycle may take."""
+    says, silent = daemon.says, span_text(daemon.silent_s)
+    if says is None:
+        return Item("daemon", Level.OK, "running")
+    if says.patience_s is not None and daemon.silent_s > says.patience_s:
+        text = f"hangs: no slot has ended for {silent}; journalctl -u dcamd, then restart it"
+        return Item("daemon", Level.CRITICAL, text)
+    text = says.phase if says.phase == "running" else f"{says.phase}, {silent} ago"
+    if says.reason:
+        text += f": {says.reason}"
+    if says.phase == "running" and says.last is not None:
+        last = says.last
+        text += f", slot {last.slot}: " + " ".join(filter(None, (last.outcome, last.cause)))
+    return Item("daemon", Level.OK, text)
+
+
+def _supervision(facts: Facts) -> Item:
+    """Slots that fail in a row, and a daemon that is started again and again."""
+    daemon = facts.daemon
+    failed = daemon.says.failed_in_a_row if daemon.says else 0
+    level = _by_age(max(failed / LATE_SLOTS, daemon.starts_24h / MANY_STARTS), 1.0, math.inf)
+    text = f"{failed} slot(s) in a row without a row" if failed else "no slot failing"
+    if failed and daemon.says and daemon.says.last:
+        text += f" ({daemon.says.last.cause}: {daemon.says.last.detail})"
+    text += f", {daemon.starts_24h} start(s) in 24 h"
+    if daemon.starts_24h > MANY_STARTS:
+        text += "; journalctl -u dcamd tells why"
+    return Item("supervision", level, text)
+
+
 def _cameras(facts: Facts) -> Item:
-    """A camera is lost as long as the newest thing known of it is a gap."""
+    """Lost by what the daemon says, or as long as the newest thing known of it is a gap."""
+    says = facts.daemon.says
+    if says is not None and says.lost:
+        telling = (
+            f"{role} lost since slot {camera.since}: {camera.error}"
+            for role, camera in says.lost.items()
+        )
+        return Item("cameras", Level.CRITICAL, "; ".join(telling))
     lost = [gap for gap in facts.gaps if gap.cause in CAMERA_CAUSES]
     if not lost:
         return Item("cameras", Level.OK, _temperatures(facts) or "no loss in 30 days")

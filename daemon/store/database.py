@@ -98,6 +98,14 @@ def open_store(
     return Store(path, engine)
 
 
+def database_bytes(directory: Path) -> int:
+    """The size of the database of a state directory; 0 as long as there is none."""
+    try:
+        return (directory / FILE_NAME).stat().st_size
+    except OSError:
+        return 0
+
+
 def open_store_readonly(directory: Path) -> Store:
     """Open the database for reading beside a running daemon, or without one.
 
