@@ -67,9 +67,9 @@ class Reporter:
     def running(self, period_s: int, burst_s: float = 0.0) -> None:
         """The next slot will be taken; from now on a cycle that takes too long is a hang."""
         patience_s = PERIODS_OF_PATIENCE * period_s + burst_s + MARGIN_S
+        self._tell(phase="running", period_s=period_s, patience_s=patience_s)
         self._notifier.cycles_take(patience_s)
         self._notifier.ready()
-        self._tell(phase="running", period_s=period_s, patience_s=patience_s)
 
     def paused(self, reason: str | None) -> None:
         """Slots are not taken for this reason, or are again for None."""
@@ -79,19 +79,19 @@ class Reporter:
 
     def stopping(self) -> None:
         """The daemon ends its slot and closes."""
-        self._notifier.stopping()
         self._tell(phase="stopping", reason="")
+        self._notifier.stopping()
 
     def slot_done(self, slot_utc: datetime, outcome: MeasurementRecord | Missed) -> None:
         """A cycle has ended: its slot has a row, or is owed to a gap."""
         slot = slot_text(slot_utc)
         if isinstance(outcome, Missed):
-            self._notifier.alive(f"slot {slot} missed: {outcome.cause.value}")
             self._tell_missed(slot, outcome)
+            self._notifier.alive(f"slot {slot} missed: {outcome.cause.value}")
             return
         flag = outcome.measurement.flag.name.lower()
-        self._notifier.alive(f"slot {slot} done: {flag}")
         self._tell(last=LastSlot(slot, flag), failed_in_a_row=0, lost={})
+        self._notifier.alive(f"slot {slot} done: {flag}")
 
     def late_row_done(self, slot_utc: datetime) -> None:
         """A pair that was left without its row has been measured."""

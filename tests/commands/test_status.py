@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 import sqlite3
 import subprocess
 import sys
@@ -21,6 +22,8 @@ from core.calibration import CalibrationReport
 from core.results import Displacement, Flag, Measurement, Reason, RigMotion
 from daemon.config import load_config
 from daemon.lock import sole_writer
+from daemon.machine import read_boot_id, uptime_s
+from daemon.run_state import LastSlot, LostCamera, RunState, write_run_state
 from daemon.store.database import Store, open_store
 from daemon.store.records import CalibrationRecord, GapCause, Mark, MeasurementRecord
 from tests.commands.conftest import SIMULATED, Ctl, Ran
@@ -209,6 +212,71 @@ def test_looking_does_not_take_the_lock_from_a_daemon_that_starts(site: Site) ->
         assert site.levels(site.ctl("status", "--json", "--at", site.end))["daemon"] == "ok"
 
 
+def says(site: Site, silent_s: float = 0.0, **what: object) -> Ran:
+    """`status --json` beside a daemon that last wrote this of itself."""
+    state = RunState(
+        **{"pid": os.getpid(), "boot_id": read_boot_id(), "version": "1.0", "started_utc": ""}
+        | {"phase": "running", "patience_s": 300.0, "told_s": uptime_s() - silent_s}
+        | what
+    )
+    write_run_state(site.state, state)
+    return site.status()
+
+
+def item(ran: Ran, name: str) -> tuple[str, str]:
+    (found,) = (item for item in json.loads(ran.out)["items"] if item["name"] == name)
+    return found["level"], found["text"]
+
+
+def test_what_the_daemon_does_now_is_told(site: Site) -> None:
+    ran = says(site, phase="recovering", silent_s=20.0)
+    assert item(ran, "daemon") == ("ok", "recovering, 20 s ago")
+    assert json.loads(ran.out)["daemon"]["says"]["phase"] == "recovering"
+    ran = says(site, phase="paused", reason="calibration (pid 7)")
+    assert item(ran, "daemon") == ("ok", "paused, 0 s ago: calibration (pid 7)")
+
+
+def test_a_daemon_that_runs_but_ends_no_slot_is_critical(site: Site) -> None:
+    level, text = item(says(site, silent_s=3600.0), "daemon")
+    assert (level, text[:36]) == ("critical", "hangs: no slot has ended for 1 h; jo")
+
+
+@pytest.mark.parametrize(
+    "stale", [{"pid": 2**22 + 1}, {"boot_id": "another"}, {"phase": "dancing"}, {"told_s": "soon"}]
+)
+def test_what_an_earlier_daemon_left_is_not_believed(site: Site, stale: dict) -> None:
+    ran = says(site, silent_s=3600.0, **stale)
+    assert item(ran, "daemon") == ("ok", "running")
+
+
+@pytest.mark.parametrize("garbage", [b"", b"{", b"[]", b"{}", b"\xff", b'{"schema": 1}', b"null"])
+def test_a_state_file_that_is_none_is_no_obstacle(site: Site, garbage: bytes) -> None:
+    (site.state / "state.json").write_bytes(garbage)
+    assert item(site.status(), "daemon") == ("ok", "running")
+
+
+def test_a_camera_is_lost_from_the_moment_the_daemon_says_so(site: Site) -> None:
+    ran = says(site, lost={"sub": LostCamera("2026-03-01T00:09:00Z", "sub camera: unplugged")})
+    told = "sub lost since slot 2026-03-01T00:09:00Z: sub camera: unplugged"
+    assert item(ran, "cameras") == ("critical", told)
+    assert ran.code == 2
+
+
+def test_slots_that_fail_in_a_row_are_a_warning_with_their_cause(site: Site) -> None:
+    last = LastSlot("2026-03-01T00:09:00Z", "missed", "disk_full", "no space")
+    level, text = item(says(site, failed_in_a_row=4, last=last), "supervision")
+    assert level == "warning"
+    assert text == "4 slot(s) in a row without a row (disk_full: no space), 0 start(s) in 24 h"
+
+
+def test_a_daemon_that_is_started_again_and_again_is_a_warning(site: Site) -> None:
+    for _ in range(5):
+        site.write(lambda store: store.add_event(site.end, "started"))
+    assert item(site.status(), "supervision") == ("ok", "no slot failing, 5 start(s) in 24 h")
+    site.write(lambda store: store.add_event(site.end, "started"))
+    assert site.levels(site.status())["supervision"] == "warning"
+
+
 @pytest.mark.parametrize(
     ("free_bytes", "total_bytes", "level"),
     [
@@ -310,7 +378,7 @@ def test_first_line_is_what_a_monitoring_system_shows(site: Site) -> None:
     assert "age=30s" in figures.split()
     assert "coverage_24h=100.00%" in figures.split()
     assert header.split() == ["what", "state", "as", "of", "2026-03-01T00:09:30Z"]
-    assert len(rest) == 11
+    assert len(rest) == 12
     assert "\x1b" not in ran.out
     assert "─" not in ran.out
 

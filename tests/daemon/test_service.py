@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 
 from daemon.config import DEFAULT_STATE_DIRECTORY
-from daemon.control import RUNTIME_DIRECTORY
 from daemon.errors import ExitCode
 from daemon.loop_cache import SHARED
+from daemon.reporting import MARGIN_S
+from daemon.run_state import RUNTIME_DIRECTORY
 
 USAGE, CONFIG = ExitCode.USAGE, ExitCode.CONFIG
 ROOTS = ("/var/lib", "/run", "/var/cache")
@@ -75,6 +76,7 @@ def test_devices_and_compiler_are_not_locked_out() -> None:
 
 def test_service_comes_back_always_and_for_ever() -> None:
     unit = service()
+    assert int(unit["WatchdogSec"]) == 3 * 60 + MARGIN_S
     assert unit["Restart"] == "always"
     assert section("Unit")["StartLimitIntervalSec"] == "0"
     assert unit["RestartPreventExitStatus"].split() == [str(USAGE.value), str(CONFIG.value)]
