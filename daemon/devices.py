@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 Built = Literal["aravis", "harvesters", "simulated", "replay"]
 """The backends that this version has."""
 
+DISCOVERY_TIMEOUT_S = 15.0
+
 _BUILT = ("aravis", "harvesters", "simulated", "replay")
 _ROLES: tuple[Role, Role] = ("main", "sub")
 
@@ -115,6 +117,21 @@ def open_pair_source(config: Config, clock: Clock) -> FramePairSource:
         for role in _ROLES
     )
     return _pair(main, sub, config, clock)
+
+
+def found_on_network(config: Config) -> dict[Role, str]:
+    """Give the addresses of those of our cameras that answer on the network; nothing is opened.
+
+    Only Aravis tells; the others say nothing of where a camera is. Raises MissingLibraryError,
+    DeviceHangsError.
+    """
+    if config.camera.main.backend != "aravis":
+        return {}
+    from drivers.aravis_device import network_addresses
+
+    addresses = network_addresses(DISCOVERY_TIMEOUT_S)
+    serials = {role: str(config.camera.of(role).serial) for role in _ROLES}
+    return {role: addresses[serial] for role, serial in serials.items() if serial in addresses}
 
 
 def open_simulated_rig(config: Config, clock: Clock) -> SimulatedRig:

@@ -8,18 +8,36 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from daemon.errors import AlreadyRunningError
+from daemon.errors import AlreadyRunningError, HardwareError
+from daemon.people import user_name
 from daemon.store.durable import make_directory_durable
 
 LOCK_NAME = "dcamd.lock"
+
+
+def require_owner(state: Path) -> None:
+    """Raise HardwareError for root in another user's state: that user could not write any more.
+
+    Others are kept out by the directory's permissions.
+    """
+    if os.geteuid() != 0 or not state.is_dir() or (owner := state.stat().st_uid) == 0:
+        return
+    name = user_name(owner)
+    msg = (
+        f"{state} is {name}'s, who could not write to what root leaves there;"
+        f" runuser -u {name} -- dcam-ctl ..."
+    )
+    raise HardwareError(msg)
 
 
 @contextmanager
 def sole_writer(state: Path, program: str = "dcamd") -> Iterator[None]:
     """Hold a state directory while the cameras are used and slots are written.
 
-    Whoever takes pairs takes this lock. Raises AlreadyRunningError when another does.
+    Whoever takes pairs takes this lock. Raises AlreadyRunningError when another does,
+    HardwareError for root in another user's directory.
     """
+    require_owner(state)
     make_directory_durable(state)
     path = state / LOCK_NAME
     # The file stays: unlinking it would let two holders lock two files of the same name.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -25,6 +24,8 @@ def loop_cache(environ: Mapping[str, str] = os.environ, shared: Path = SHARED) -
     choices = (Path(__file__).parents[1] / "core", home / ".cache", home)
     if any(os.access(choice, os.W_OK | os.X_OK) for choice in choices):
         return None
+    import tempfile  # `status` is asked every minute, and mostly does not come here
+
     private = Path(tempfile.gettempdir()) / f"dcam-{os.geteuid()}"
     try:
         private.mkdir(mode=0o700, exist_ok=True)

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.errors import DeviceLostError, MissingLibraryError
+from drivers.deadline import DeadlineExceededError, DeadlineThread
+from drivers.errors import DeviceHangsError, DeviceLostError, MissingLibraryError
 from drivers.genicam_device import (
     CODE_OF_FORMAT,
     CONTROL_WAIT_S,
@@ -82,6 +83,32 @@ def find_device(aravis: Any, serial: str) -> str:
         " and the serial number in the config"
     )
     raise DeviceLostError(msg)
+
+
+def network_addresses(timeout_s: float) -> dict[str, str]:
+    """Give the IP address of each GigE Vision camera that answers, by serial number.
+
+    Raises MissingLibraryError, DeviceHangsError.
+    """
+    aravis, _ = load_aravis()
+
+    def look() -> dict[str, str]:
+        with _discovery:
+            aravis.update_device_list()
+            return {
+                str(aravis.get_device_serial_nbr(i)): str(aravis.get_device_address(i))
+                for i in range(aravis.get_n_devices())
+                if aravis.get_device_protocol(i) == "GigEVision"
+            }
+
+    thread = DeadlineThread("discovery", at_end=lambda: None)
+    try:
+        return thread.call(look, timeout_s)
+    except DeadlineExceededError:
+        msg = f"discovery of cameras hangs in Aravis for more than {timeout_s:g} s"
+        raise DeviceHangsError(msg) from None
+    finally:
+        thread.end()
 
 
 class AravisDevice:

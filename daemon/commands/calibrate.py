@@ -36,6 +36,7 @@ from daemon.devices import open_bench, open_calibration_rig, open_clock
 from daemon.errors import ExitCode, UsageError, WorkFailedError
 from daemon.exposure import loop_of
 from daemon.health import has_stepped_clock
+from daemon.lock import require_owner
 from daemon.store.database import Store, open_store
 from drivers.frameset import FrameSet, FrameSetRow, read_frame_set
 
@@ -123,6 +124,7 @@ def command(
         msg = "--lens-views, --without-lens-views and --fresh go with --pan-tilt"
         raise UsageError(msg)
     config, state = options.config, options.state
+    require_owner(state)
     with open_store(state) as store:  # first: what cannot be stored need not be taken
         if directory is not None:
             run, taken_utc = calibrate_on(config, directory, Method(method), skew=skew)

@@ -15,6 +15,7 @@ import click
 
 from daemon.config import Config, Installation, find_installation
 from daemon.errors import HardwareError
+from daemon.people import group_name
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -70,7 +71,8 @@ def _require_usable(state: Path) -> None:
         msg = f"{state}: cannot be read ({error.strerror}); check its permissions"
         raise HardwareError(msg) from error
     if not os.access(state, os.R_OK | os.X_OK):
-        msg = f"{state}: cannot be read; check its permissions"
+        group = group_name(state.stat().st_gid)
+        msg = f"{state}: cannot be read; check its permissions, or join its group {group}"
         raise HardwareError(msg)
 
 

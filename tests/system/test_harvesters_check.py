@@ -1,4 +1,4 @@
-"""`dcam-ctl check --hardware` through a GenTL producer, the sub-camera triggered by a wire."""
+"""`dcam-ctl check --hardware` with cameras on the network, the sub-camera triggered by a wire."""
 
 from __future__ import annotations
 
@@ -54,10 +54,12 @@ producer = "PRODUCER"
 """
 
 
-def check(directory: Path, cti: Path) -> tuple[int, dict[str, tuple[str, str]], str]:
+def check(
+    directory: Path, cti: Path, backend: str = "harvesters"
+) -> tuple[int, dict[str, tuple[str, str]], str]:
     """Exit code, findings by name as (state, text), and stderr."""
     config = directory / "dcam.toml"
-    config.write_text(CONFIG.replace("PRODUCER", str(cti)))
+    config.write_text(CONFIG.replace("PRODUCER", str(cti)).replace("harvesters", backend))
     command = [sys.executable, "-m", "daemon.ctl", "--config", str(config)]
     command += ["--state", str(directory / "state"), "check", "--hardware", "--json"]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
@@ -86,6 +88,15 @@ def test_both_cameras_are_found_and_take_a_pair(cameras: None, tmp_path: Path) -
     assert findings["main frame"][0] == findings["sub frame"][0] == "ok"
     assert findings["skew"][1].startswith("not measured")
     assert "Traceback" not in stderr
+
+
+def test_the_way_to_a_gige_camera_is_looked_at(cameras: None, tmp_path: Path) -> None:
+    code, findings, _ = check(tmp_path, producer(), "aravis")
+    assert code == 0, findings
+    for role, address in zip(("main", "sub"), ADDRESSES, strict=True):
+        assert findings[f"{role} link"] == ("ok", f"{address} through lo")
+        assert findings[f"{role} packets"][0] == "ok"
+    assert "an image has 0.324 MB" in findings["receive buffer"][1]
 
 
 def test_a_producer_that_is_not_there_is_one_clear_line(tmp_path: Path) -> None:

@@ -1,0 +1,1 @@
+"""What must be right before the first slot: one module a theme, each gives findings."""

@@ -1,0 +1,104 @@
+"""Cameras and head, opened as a slot and a calibration would."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+
+from daemon.checks.computer import check_camera_heat
+from daemon.checks.finding import Finding, failed
+from daemon.checks.network import check_network
+from daemon.checks.usb import check_usb
+from daemon.commands.capture import frame_text
+from daemon.config import Config, Installation
+from daemon.devices import (
+    found_on_network,
+    open_clock,
+    open_head,
+    open_pair_source,
+    require_backend,
+)
+from daemon.errors import ConfigError, DcamError, ExitCode
+from daemon.health import dcamd_runs
+from daemon.lock import sole_writer
+from drivers.errors import DriverError
+
+
+def check_backend(config: Config) -> Finding:
+    """Whether the config names cameras that there is a driver for."""
+    if config.camera.main.backend is None and config.camera.sub.backend is None:
+        text = "none; enough for calibrate --from and reprocess --from, not for dcamd"
+        return Finding("cameras", "warning", text)
+    try:
+        return Finding("cameras", "ok", f"backend {require_backend(config)}")
+    except ConfigError as error:
+        return failed("cameras", error)
+
+
+def check_links(config: Config) -> Iterator[Finding]:
+    """Look at the way from here to each camera, without opening any."""
+    if config.camera.main.backend not in {"aravis", "harvesters"}:
+        return
+    yield from check_usb(config)
+    try:
+        addresses = found_on_network(config)
+    except (DriverError, DcamError) as error:
+        yield failed("links", error)
+        return
+    yield from check_network(config, addresses)
+
+
+def check_cameras(site: Installation) -> Iterator[Finding]:
+    """Open both cameras and take a pair, as a slot would."""
+    if dcamd_runs(site.state_directory):
+        text = "dcamd has the cameras; systemctl stop dcamd first"
+        yield Finding("pair", "error", text, ExitCode.HARDWARE)
+        return
+    try:
+        with sole_writer(site.state_directory, "dcam-ctl check"):
+            clock = open_clock(site.config)
+            with closing(open_pair_source(site.config, clock)) as source:
+                pair = source.capture(clock.now_utc().replace(microsecond=0))
+    except (DriverError, DcamError, OSError) as error:
+        yield failed("pair", error)
+        return
+    yield Finding("main frame", "ok", frame_text(pair.main))
+    yield Finding("sub frame", "ok", frame_text(pair.sub))
+    yield from check_camera_heat(pair)
+    if pair.skew_s is None:
+        text = "not measured: the main camera's line triggers the sub-camera"
+        yield Finding("skew", "ok", text)
+        return
+    skew_ms, limit_ms = 1e3 * abs(pair.skew_s), site.config.quality.max_skew_ms
+    text = f"{skew_ms:.2f} ms apart, the limit is {limit_ms:g} ms"
+    if skew_ms > limit_ms:
+        yield Finding("skew", "warning", f"{text}: check cables and the load of the computer")
+    else:
+        yield Finding("skew", "ok", text)
+
+
+def check_head(config: Config) -> Iterator[Finding]:
+    """Ask the head at the port, if there is one, who and where it is; nothing moves."""
+    if not config.pan_tilt.is_serial:
+        return
+    try:
+        with closing(open_head(config)) as head:
+            report = head.describe()
+    except (DriverError, DcamError) as error:
+        yield failed("head", error)
+        return
+    yield Finding("head", "ok", f"{report.name} at {config.pan_tilt.port}")
+    if report.position_deg is None:
+        text = "answers nothing: it is moved by time, and only the images show where it is"
+        yield Finding("head position", "warning", text)
+    else:
+        pan_deg, tilt_deg = report.position_deg
+        home = config.pan_tilt.home_deg
+        text = f"pan {pan_deg:.3f} tilt {tilt_deg:.3f} deg, home is {home[0]:g} {home[1]:g}"
+        yield Finding("head position", "ok", text)
+    if report.limits_deg is not None:
+        pan, tilt = report.limits_deg
+        text = f"pan {pan[0]:.1f} to {pan[1]:.1f}, tilt {tilt[0]:.1f} to {tilt[1]:.1f} deg"
+        yield Finding("head limits", "ok", text)
+    if report.power is not None:
+        yield Finding("head power", "ok", report.power)

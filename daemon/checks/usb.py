@@ -1,0 +1,151 @@
+"""USB3 Vision cameras as the kernel sees them: who may open them, how fast their link is.
+
+Nothing is opened. Attributes: Documentation/ABI/testing/sysfs-bus-usb of the kernel; class codes:
+USB3 Vision 1.1, 4.1 (interface EFh, 05h).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from daemon.checks import host
+from daemon.checks.finding import Finding, unless
+from daemon.config import Config
+from daemon.errors import ExitCode
+from daemon.people import group_name
+from drivers.genicam_device import N_BUFFERS
+from drivers.protocols import Role
+
+USB3_MBIT_S = 5000
+USB3_VISION = ("ef", "05")
+FLIR = "1e10"
+USUAL_LIMIT_MB = 1000
+_RULES = "udevadm control --reload && udevadm trigger --action=change --subsystem-match=usb"
+"""Applies 60-dcam.rules to what is plugged in."""
+
+
+@dataclass(frozen=True, slots=True)
+class UsbCamera:
+    """A camera on the bus."""
+
+    directory: Path
+    """Of the device, in sys/bus/usb/devices."""
+    serial: str
+    product: str
+
+    def attribute(self, name: str) -> Path:
+        """Give the file of an attribute."""
+        return self.directory / name
+
+    @property
+    def node(self) -> Path:
+        """What is opened to talk to it."""
+        bus, device = (host.number(self.attribute(name)) for name in ("busnum", "devnum"))
+        return host.path(f"dev/bus/usb/{bus or 0:03d}/{device or 0:03d}")
+
+    def has_serial(self, serial: str | None) -> bool:
+        """Tell whether it is the camera of a config; FLIR's say theirs in hexadecimal here."""
+        if serial is None:
+            return False
+        hexadecimal = f"{int(serial):x}" if serial.isdecimal() else serial
+        return self.serial.lower().lstrip("0") in {serial.lower().lstrip("0"), hexadecimal.lower()}
+
+
+def usb_cameras() -> list[UsbCamera]:
+    """List the USB3 Vision cameras that are plugged in."""
+    cameras = []
+    for directory in sorted(host.path("sys/bus/usb/devices").glob("*")):
+        if ":" in directory.name or not (directory / "idVendor").exists():
+            continue  # an interface of a device
+        if host.text(directory / "idVendor") == FLIR or _speaks_usb3_vision(directory):
+            serial, product = (host.text(directory / name) or "" for name in ("serial", "product"))
+            cameras.append(UsbCamera(directory, serial, product or "camera"))
+    return cameras
+
+
+def _speaks_usb3_vision(device: Path) -> bool:
+    names = ("bInterfaceClass", "bInterfaceSubClass")
+    return any(
+        tuple(host.text(interface / name) for name in names) == USB3_VISION
+        for interface in device.glob(f"{device.name}:*")
+    )
+
+
+def check_usb(config: Config) -> Iterator[Finding]:
+    """Look at every USB3 Vision camera, and at what the kernel grants all of them together."""
+    cameras = usb_cameras()
+    if not cameras:
+        return
+    yield _memory(config)
+    person = host.whoever_runs_dcamd()
+    for camera in cameras:
+        yield from _camera(camera, _name(camera, config), person)
+
+
+def _name(camera: UsbCamera, config: Config) -> str:
+    roles: tuple[Role, ...] = ("main", "sub")
+    for role in roles:
+        if camera.has_serial(config.camera.of(role).serial):
+            return f"{role} usb"
+    return "other usb"
+
+
+def _memory(config: Config) -> Finding:
+    limit_mb = host.number(host.path("sys/module/usbcore/parameters/usbfs_memory_mb"))
+    need_mb = sum(frame_bytes(config, role) for role in ("main", "sub")) * N_BUFFERS / 1e6
+    if limit_mb is None:
+        return Finding("usb memory", "warning", "the kernel does not tell: modprobe usbcore")
+    granted = "no limit" if limit_mb == 0 else f"{limit_mb} MB"
+    text = f"{granted}, both cameras need {need_mb:.0f} MB"
+    cure = (
+        f"echo {USUAL_LIMIT_MB} > /sys/module/usbcore/parameters/usbfs_memory_mb;"
+        f" to keep it, install 60-dcam.rules and {_RULES}"
+    )
+    return unless(limit_mb == 0 or limit_mb >= need_mb, "usb memory", text, cure)
+
+
+def frame_bytes(config: Config, role: str) -> int:
+    """Give the size of a camera's image on its way to the computer."""
+    camera = config.camera.main if role == "main" else config.camera.sub
+    return camera.width_px * camera.height_px * (1 if camera.pixel_format == "Mono8" else 2)
+
+
+def _camera(camera: UsbCamera, name: str, person: host.Person) -> Iterator[Finding]:
+    what = f"{camera.product} {camera.serial}".strip()
+    yield _access(camera, f"{name} access", what, person)
+    mbit_s = host.number(camera.attribute("speed"))
+    if mbit_s is None:
+        yield Finding(
+            f"{name} link", "warning", f"{what}: speed not told: unplug it and plug it in"
+        )
+    else:
+        cure = "plug it into a USB 3 port (blue or marked SS), with a USB 3 cable of at most 3 m"
+        yield unless(mbit_s >= USB3_MBIT_S, f"{name} link", f"{what} at {mbit_s} Mbit/s", cure)
+    power = host.text(camera.attribute("power/control"))
+    control = camera.attribute("power/control").relative_to(host.ROOT)
+    text = "never put to sleep" if power == "on" else "may be put to sleep"
+    cure = f"echo on > /{control}; to keep it, install 60-dcam.rules and {_RULES}"
+    yield unless(power in {"on", None}, f"{name} power", text, cure)
+
+
+def _access(camera: UsbCamera, name: str, what: str, person: host.Person) -> Finding:
+    node = camera.node
+    try:
+        if person.may_use(node):
+            return Finding(name, "ok", f"{person.name} may open {what}")
+        group = group_name(node.stat().st_gid)
+    except OSError:
+        text = f"{what}: no {node}: unplug it and plug it in"
+        return Finding(name, "error", text, ExitCode.HARDWARE)
+    text = (
+        f"{person.name} may not open {what} ({node}, group {group}):"
+        f" install 60-dcam.rules and {_RULES}"
+    )
+    if group == host.SERVICE_USER:
+        text = (
+            f"{person.name} may not open {what} ({node}): usermod --append --groups {group}"
+            f" {person.name} and log in again"
+        )
+    return Finding(name, "error", text, ExitCode.HARDWARE)
