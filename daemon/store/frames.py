@@ -80,7 +80,9 @@ class FrameArchive:
         """
         stored = self.place(slot_utc, number)
         main, sub = self.state / stored.main_path, self.state / stored.sub_path
-        if main.exists() and sub.exists():
+        with translated(main.parent):
+            taken = main.exists() and sub.exists()
+        if taken:
             msg = f"{main}: slot {slot_text(slot_utc)} has a pair already"
             raise SlotTakenError(msg)
         main_data = encode_png(pair.main.pixels, pair.main.bits)
