@@ -1,8 +1,8 @@
-"""Where crashes are tried, and the tally at the end of the tests."""
+"""Where crashes are tried."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -10,21 +10,7 @@ import pytest
 
 from tests.crash.lossy_fs import LossyMount, why_not
 
-TALLY = pytest.StashKey[list[str]]()
 MEMORY = Path("/dev/shm")
-
-
-@pytest.fixture(scope="session")
-def tally(pytestconfig: pytest.Config) -> Callable[[str], None]:
-    """Have a line printed at the end of the tests, passed or not."""
-    return pytestconfig.stash.setdefault(TALLY, []).append
-
-
-def pytest_terminal_summary(
-    terminalreporter: pytest.TerminalReporter, config: pytest.Config
-) -> None:
-    for line in config.stash.get(TALLY, []):
-        terminalreporter.write_line(line)
 
 
 @pytest.fixture(scope="session")

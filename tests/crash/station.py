@@ -83,15 +83,22 @@ def heard(acknowledged: Callable[[datetime], object]) -> Iterator[None]:
         raise structlog.DropEvent
 
     before = structlog.get_config()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pipeline, "measure", measure_by_eye)
-        patch.setattr(pipeline, "active_calibration", calibration_by_number)
-        patch.setattr(pipeline, "in_sequence", lambda *arguments: arguments[-1])
+    with measured_by_eye():
         structlog.configure(processors=[listen], logger_factory=structlog.ReturnLoggerFactory())
         try:
             yield
         finally:
             structlog.configure(**before)
+
+
+@contextmanager
+def measured_by_eye() -> Iterator[None]:
+    """Measure without looking for targets, which these small images do not show."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline, "measure", measure_by_eye)
+        patch.setattr(pipeline, "active_calibration", calibration_by_number)
+        patch.setattr(pipeline, "in_sequence", lambda *arguments: arguments[-1])
+        yield
 
 
 def calibration_by_number(store: Store) -> SimpleNamespace | None:

@@ -1,0 +1,184 @@
+"""Killed at, or refused, each system call of two slots: nothing is lost, and it goes on."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+
+from daemon.store.database import FILE_NAME
+from tests.crash.promises import Finished, Promises, broken, read_database
+from tests.crash.struck import CALLS, SLOTS
+
+TOP = Path(__file__).parents[2]
+END = SLOTS[-1] + timedelta(seconds=200)
+
+WRITING = ("mkdir", "rename", "unlink", "write", "pwrite64", "ftruncate", "fsync", "fdatasync")
+"""Calls that change the disk; `openat`, which makes files, is another."""
+
+INJECTIONS = {
+    "killed": ("signal=KILL", (*WRITING, "openat")),
+    "EIO": ("error=EIO", CALLS),
+    "ENOSPC": ("error=ENOSPC", (*WRITING, "openat")),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Strike:
+    """What became of a daemon."""
+
+    injection: str
+    directory: Path
+    exit: int
+    """0 when it ended as told, -9 when it was killed."""
+    acknowledged: frozenset[int]
+    """Numbers of slots."""
+    calls: Counter[str]
+
+    @property
+    def state(self) -> Path:
+        return self.directory / "state"
+
+
+class Struck:
+    """Starts daemons and has them struck."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._number = 0
+
+    def strike(self, injections: Iterable[str]) -> list[Strike]:
+        injections = list(injections)
+        names = [str(self._number + number) for number in range(len(injections))]
+        self._number += len(names)
+        orders = "".join(f"{name} {one}\n" for name, one in zip(names, injections, strict=True))
+        result = subprocess.run(
+            [sys.executable, "-m", "tests.crash.struck", str(self._root)],
+            cwd=TOP,
+            input=orders,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert result.returncode == 0, result.stderr
+        answers = [json.loads(line) for line in result.stdout.splitlines()]
+        if "attached" not in answers[0]["strace"]:
+            pytest.skip(f"strace may not trace here: {answers[0]['strace']}")
+        return [
+            Strike(
+                one,
+                self._root / name,
+                answer["exit"],
+                frozenset(answer["acknowledged"]),
+                Counter(answer["calls"]),
+            )
+            for name, one, answer in zip(names, injections, answers, strict=True)
+        ]
+
+
+@pytest.fixture(scope="module")
+def struck(scratch: Path) -> Struck:
+    if shutil.which("strace") is None:
+        pytest.skip("strace is not installed")
+    root = scratch / "struck"
+    root.mkdir()
+    return Struck(root)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(struck: Struck) -> Strike:
+    """A run that nothing happens to."""
+    (strike,) = struck.strike(["-"])
+    assert strike.acknowledged == frozenset(range(len(SLOTS)))
+    return strike
+
+
+@pytest.fixture(scope="module")
+def reference(undisturbed: Strike) -> Finished:
+    return read_database(undisturbed.state / FILE_NAME)
+
+
+def every_call(undisturbed: Strike, how: str, calls: Sequence[str]) -> list[str]:
+    """An injection at each call of these kinds that the undisturbed run made."""
+    return [
+        f"{call}:{how}:when={number}"
+        for call in calls
+        for number in range(1, undisturbed.calls[call] + 1)
+    ]
+
+
+def frames_of(slots: Iterable[int], undisturbed: Strike) -> dict[str, bytes]:
+    """The images of slots, as every run takes them."""
+    files = {}
+    for number in slots:
+        for path in undisturbed.state.glob(f"frames/{SLOTS[number]:%Y/%m/%d/%H%M%S}_*.png"):
+            files[str(path.relative_to(undisturbed.state))] = path.read_bytes()
+    return files
+
+
+def test_killed_at_each_call_nothing_acknowledged_is_lost(
+    struck: Struck, undisturbed: Strike, reference: Finished, tally: Callable[[str], None]
+) -> None:
+    found = []
+    strikes = struck.strike(every_call(undisturbed, *INJECTIONS["killed"]))
+    for strike in strikes:
+        assert strike.exit == -9, strike
+        promised = Promises(
+            first_slot_utc=SLOTS[0],
+            rows=frozenset(SLOTS[number] for number in strike.acknowledged),
+            files=frames_of(strike.acknowledged, undisturbed),
+            absence=frozenset({"power_loss", "stopped"}),
+        )
+        why = broken(strike.state, promised, reference, END, twice=False)
+        found += [f"{strike.injection}: {why}"] if why else []
+    tally(f"SIGKILL at {len(strikes)} system calls of two slots: {len(found)} broke a promise")
+    assert found == []
+
+
+@pytest.mark.parametrize("error", ["EIO", "ENOSPC"])
+def test_refused_each_call_it_goes_on_and_accounts_for_every_slot(
+    struck: Struck, undisturbed: Strike, error: str, tally: Callable[[str], None]
+) -> None:
+    found = []
+    strikes = struck.strike(every_call(undisturbed, *INJECTIONS[error]))
+    for strike in strikes:
+        why = went_on(strike)
+        why += broken(strike.state, *told_by(strike, undisturbed), END, twice=False)
+        found += [f"{strike.injection}: {why}"] if why else []
+    tally(f"{error} at {len(strikes)} system calls of two slots: {len(found)} broke a promise")
+    assert found == []
+
+
+def went_on(strike: Strike) -> list[str]:
+    """A call that fails once costs one slot at most, and never the daemon."""
+    if strike.exit != 0:
+        return [f"it ended with {strike.exit}"]
+    lost = len(SLOTS) - len(strike.acknowledged)
+    return [f"{lost} slots have no row"] if lost > 1 else []
+
+
+def told_by(strike: Strike, undisturbed: Strike) -> tuple[Promises, Finished]:
+    """What a run that came to its end had promised; its rows name the frames that it kept."""
+    left = read_database(strike.state / FILE_NAME)
+    slots = frozenset(SLOTS[number] for number in strike.acknowledged)
+    kept = [number for number in strike.acknowledged if names_frames(left, number)]
+    promised = Promises(
+        first_slot_utc=SLOTS[0],
+        rows=slots,
+        files=frames_of(kept, undisturbed),
+        absence=frozenset({"power_loss", "stopped"}),
+    )
+    return promised, left
+
+
+def names_frames(left: Finished, number: int) -> bool:
+    row = left.rows.get(SLOTS[number], ())
+    return any(isinstance(cell, str) and cell.endswith("_main.png") for cell in row)
