@@ -88,7 +88,9 @@ def put_right(line: Pipeline, schedule: Schedule) -> Redated:
     """Date what this boot took under a wrong clock. The clock must be right now.
 
     Undated pairs get their slots. Rows that were taken while nothing disciplined the clock move,
-    if they are further off than the schedule allows and than a crystal drifts. Raises StoreError.
+    if they are further off than the schedule allows and than a crystal drifts. A clock that is
+    before what another boot, or a disciplined clock, has recorded is not right, whoever vouches
+    for it. Raises StoreError.
     """
     true_utc, uptime_s = since_boot(line), line.machine.uptime_s()
 
@@ -98,6 +100,10 @@ def put_right(line: Pipeline, schedule: Schedule) -> Redated:
         return off_s > schedule.max_late_s + drift_s
 
     boot_id = line.machine.boot_id
+    known_utc = line.store.last_slot_but(boot_id)
+    if known_utc is not None and schedule.is_behind(line.clock.now_utc(), known_utc):
+        _log.error("times_not_put_right", error=f"the clock is before {slot_text(known_utc)}")
+        return Redated()
     rows = [row for row in line.store.unsynchronised_rows(boot_id) if is_off(row)]
     undated = line.store.undated(boot_id)
     if not rows and not undated:

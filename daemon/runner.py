@@ -87,8 +87,9 @@ class SlotRunner:
             if not self._line.clock.wait_until(slot, self._stop):
                 break
             self._watch_clock()
-            if self._schedule.is_too_late(slot, self._line.clock.now_utc()):
-                continue
+            now_utc = self._line.clock.now_utc()
+            if now_utc < slot or self._schedule.is_too_late(slot, now_utc):
+                continue  # the clock was stepped, back or forth
             self._begun_s = self._line.clock.monotonic_s()
             if self._is_behind():
                 self._run_undated(slot)

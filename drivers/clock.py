@@ -29,11 +29,13 @@ class SystemClock:
         """Wait for a wall-clock time; False if `stop` was set before.
 
         The wall clock is read again every `SLICE_S`, because NTP or an operator may step it while
-        we sleep: after a step forward the wait ends within a slice, after a step back it goes on.
+        we sleep: after a step forward the wait ends within a slice. It takes no more than a slice
+        longer than by the clock as it was at first: after a step back the time is not reached.
         """
+        end_s = self.monotonic_s() + (when_utc - self.now_utc()).total_seconds() + SLICE_S
         while not stop.is_set():
             left_s = (when_utc - self.now_utc()).total_seconds()
-            if left_s <= 0.0:
+            if left_s <= 0.0 or self.monotonic_s() > end_s:
                 return True
             stop.wait(min(left_s, SLICE_S))
         return False

@@ -246,5 +246,9 @@ class Clock(Protocol):
         ...
 
     def wait_until(self, when_utc: datetime, stop: threading.Event) -> bool:
-        """Wait for a wall-clock time; False if `stop` was set before."""
+        """Wait for a wall-clock time; False if `stop` was set before.
+
+        Ends about when it should by monotonic time at the latest: a clock that is stepped back
+        meanwhile says less than that time afterwards.
+        """
         ...

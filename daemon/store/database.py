@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self, cast
 
-from sqlalchemy import Engine, func, select
+from sqlalchemy import Engine, func, or_, select
 from sqlalchemy.orm import Session
 
 from daemon.store import gaps as gap_runs
@@ -278,6 +278,15 @@ class Store:
             row.slot_utc, row.captured_utc = record.slot_utc, record.captured_utc
             row.main_frame, row.sub_frame = record.main_frame, record.sub_frame
             row.redated_from_utc = record.redated_from_utc
+
+    def last_slot_but(self, boot_id: str) -> datetime | None:
+        """The latest slot with a row, but for what a boot took under an undisciplined clock."""
+        row = MeasurementRow
+        query = select(row.slot_utc).where(
+            or_(row.boot_id.is_distinct_from(boot_id), row.clock_synchronised.is_not(False))
+        )
+        with self._read() as session:
+            return session.scalar(query.order_by(row.slot_utc.desc()).limit(1))
 
     def unsynchronised_rows(self, boot_id: str) -> list[MeasurementRecord]:
         """The rows that a boot took while nothing disciplined the clock, in order."""

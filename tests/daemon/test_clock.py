@@ -121,6 +121,20 @@ def test_rows_of_a_disciplined_clock_never_move(station) -> None:
     assert [row.redated_from_utc for row in station.store.measurements()] == [None] * 5
 
 
+def test_a_disciplined_clock_before_the_record_is_not_believed(station) -> None:
+    """A time server of its own that is wrong: nothing is dated after it, neither now nor later."""
+    station.synchronised = True
+    station.run(4, {1: ntp(station, -WRONG)})
+    station.clock.advance(30)
+    station.run(1)
+    assert station.minutes() == [0, 1]
+    assert len(station.store.undated()) == 3
+    station.clock.advance(30)
+    station.run(2, {0: ntp(station, WRONG)})
+    assert station.store.undated() == []
+    assert station.minutes() == [0, 1, 2, 3, 4, 5, 6]
+
+
 def test_a_clock_that_drifted_for_weeks_leaves_old_rows_alone(station) -> None:
     """A minute in a month came little by little: the first rows were right."""
     station.synchronised = False

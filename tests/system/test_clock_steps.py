@@ -1,0 +1,164 @@
+"""A live dcamd whose clock is stepped under it: it goes on, accounts for all slots, says so."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import libfaketime
+import pytest
+
+from daemon.store.database import ALWAYS, open_store
+from tests.commands.conftest import SIMULATED
+
+ROOT = Path(__file__).parents[2]
+LIBRARY = next(Path(libfaketime.__file__).parent.rglob("libfaketime.so.1"))
+SECONDS = SIMULATED.replace(
+    "[simulation]", '[schedule]\nperiod_s = 1\n[simulation]\nclock = "system"'
+)
+DAY_S, HOUR_S = 86_400, 3_600
+BUILD_DATE_S = -1_400 * DAY_S
+"""About where a computer without a battery wakes: at the day its systemd was built."""
+
+
+class Station:
+    """A dcamd with a slot every second, under a clock that the test sets."""
+
+    def __init__(self, directory: Path) -> None:
+        self.state, self.log = directory / "state", directory / "log"
+        self.config, self._shift = directory / "dcam.toml", directory / "shift"
+        self.config.write_text(SECONDS, encoding="utf-8")
+        self._manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._manager.bind(str(directory / "notify"))
+        self._manager.settimeout(120)
+        self._address = str(directory / "notify")
+
+    def set_clock(self, shift_s: int) -> None:
+        """Step the clock: so far from the true time from now on."""
+        new = self._shift.with_suffix(".new")
+        new.write_text(f"{shift_s:+d}s\n", encoding="ascii")
+        new.replace(self._shift)
+
+    def start(self) -> subprocess.Popen[bytes]:
+        environ = os.environ | {
+            "LD_PRELOAD": str(LIBRARY),
+            "FAKETIME_TIMESTAMP_FILE": str(self._shift),
+            "FAKETIME_NO_CACHE": "1",
+            "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+            "NOTIFY_SOCKET": self._address,
+        }
+        command = [sys.executable, "-m", "daemon.main", "--config", str(self.config)]
+        with self.log.open("ab") as log:
+            self._dcamd = subprocess.Popen(
+                [*command, "--state", str(self.state)], cwd=ROOT, env=environ, stderr=log
+            )
+        return self._dcamd
+
+    def slots(self, count: int, since: datetime | None = None) -> datetime:
+        """Wait until so many cycles have ended; gives the last one's slot."""
+        done = 0
+        while done < count:
+            told = self._manager.recv(4096).decode()
+            found = re.search(r"STATUS=slot (\S+) ", told)
+            if found and (since is None or datetime.fromisoformat(found[1]) > since):
+                done += 1
+                last = datetime.fromisoformat(found[1])
+        return last
+
+    def close(self) -> None:
+        self._dcamd.kill()
+        self._dcamd.wait()
+        self._manager.close()
+
+
+@pytest.fixture
+def station(tmp_path: Path):
+    station = Station(tmp_path)
+    yield station
+    station.close()
+
+
+@pytest.mark.parametrize("step_s", [HOUR_S, DAY_S])
+def test_a_step_forward_and_back_again(station: Station, step_s: int) -> None:
+    """The hour is a gap that names the clock; what comes after the step back is kept apart."""
+    station.set_clock(0)
+    dcamd = station.start()
+    before = station.slots(2)
+    station.set_clock(step_s)
+    ahead = station.slots(2, since=before + timedelta(seconds=step_s // 2))
+    station.set_clock(0)
+    station.slots(3)
+    dcamd.send_signal(signal.SIGTERM)
+    assert dcamd.wait(60) == 0
+    with open_store(station.state, create=False) as store:
+        rows = [row.slot_utc for row in store.measurements()]
+        gap = next(gap for gap in store.gaps() if gap.slots > step_s // 2)
+        apart = store.undated()
+        first, last = store.accounted()
+        found = store.coverage(first, last + timedelta(seconds=1), period_s=1)
+    assert rows == sorted(set(rows))
+    assert ahead in rows
+    assert gap.cause == "clock_wrong"
+    assert "the clock was stepped by +" in gap.detail
+    assert found.unaccounted == 0
+    assert len(apart) >= 1
+    assert "clock_wrong" in station.log.read_text()
+
+
+@pytest.mark.parametrize("step_s", [-HOUR_S, -DAY_S, BUILD_DATE_S])
+def test_a_step_back_and_forth_again(station: Station, step_s: int) -> None:
+    """The record goes on where it was; nothing lies before its beginning."""
+    station.set_clock(0)
+    dcamd = station.start()
+    before = station.slots(2)
+    station.set_clock(step_s)
+    station.slots(3)
+    station.set_clock(0)
+    after = station.slots(2, since=before)
+    dcamd.send_signal(signal.SIGTERM)
+    assert dcamd.wait(60) == 0
+    with open_store(station.state, create=False) as store:
+        rows = [row.slot_utc for row in store.measurements(ALWAYS)]
+        first, last = store.accounted()
+        found = store.coverage(first, last + timedelta(seconds=1), period_s=1)
+        missed = [gap for gap in store.gaps() if gap.cause == "clock_wrong"]
+        apart = store.undated()
+    assert rows == sorted(set(rows))
+    assert min(rows) <= before
+    assert max(rows) >= after
+    assert found.unaccounted == 0
+    assert last - first < timedelta(hours=1)
+    # Where the kernel says that the clock is disciplined, the pairs have their slots again.
+    assert apart or not missed or len(rows) > 4
+
+
+def test_a_wake_in_the_past_loses_no_acknowledged_row(station: Station) -> None:
+    """Killed, and up again with the clock of systemd's build date; then the clock is set."""
+    station.set_clock(0)
+    dcamd = station.start()
+    station.slots(3)
+    dcamd.kill()
+    dcamd.wait()
+    acknowledged = set(re.findall(r"event=slot_done slot=(\S+)", station.log.read_text()))
+    station.set_clock(BUILD_DATE_S)
+    dcamd = station.start()
+    station.slots(3)
+    with open_store(station.state, create=False) as store:
+        first, _ = store.accounted()
+    station.set_clock(0)
+    station.slots(2, since=first)
+    dcamd.send_signal(signal.SIGTERM)
+    assert dcamd.wait(60) == 0
+    with open_store(station.state, create=False) as store:
+        rows = {f"{row.slot_utc:%Y-%m-%dT%H:%M:%SZ}" for row in store.measurements()}
+        start, last = store.accounted()
+        found = store.coverage(start, last + timedelta(seconds=1), period_s=1)
+    assert acknowledged <= rows
+    assert start == first
+    assert found.unaccounted == 0
