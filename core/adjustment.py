@@ -27,6 +27,8 @@ from core.rig import MainView, Rig
 from core.site import FloatArray
 
 _TOLERANT = 30.0
+_WORSE = 2.0
+"""By so much larger residuals than before are the step's fault."""
 _SETTLED, _SETTLED_SIGMAS, _SPREAD_SETTLED = 1e-3, 0.02, 0.03
 _LINE_FLOOR_MM, _CORNER_FLOOR_MM = 3e-4, 5e-5
 _PSEUDO_LINES, _PSEUDO_LINE_MM = 2.0, 5e-3
@@ -78,6 +80,8 @@ def adjust(
     scale = _TOLERANT  # at first, then let the weights tighten as the fit gets good
     for _ in range(iterations):
         system = problem.linearise(state, scale, spreads)
+        if system.scale > _WORSE * scale:  # the step went too far: these are no outliers
+            system = problem.linearise(state, system.scale, spreads)
         step, offset_step, sigmas = system.solve()
         state = problem.step(state, step, offset_step)
         if sigmas < _SETTLED_SIGMAS and abs(system.scale - scale) < _SETTLED * scale:

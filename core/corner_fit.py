@@ -6,22 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.corner_kernels import (
-    BLUR,
-    BOX,
-    CORNER_PARAMETERS,
-    GAIN,
-    SHIFT,
-    box_means,
-    fit_corners,
-)
+from core.corner_kernels import NO_SIDES, fit_corners, fit_even_corners
+from core.corner_sample import look
+from core.corner_sums import BLUR, CORNER_PARAMETERS, GAIN, SHIFT
 from core.frames import PixelArray
-from core.pixel_fit import covariances, residual_noise
-from core.site import BoolArray, FloatArray
+from core.light_kernels import BOX, box_means
+from core.pixel_fit import covariances
+from core.site import BoolArray, FloatArray, IntArray
 
-CORNER_REACH_SQUARES = 0.49
+CORNER_REACH_SQUARES = 0.5
 """The model covers the pixels nearer to this corner than to its neighbours."""
-_SAMPLE_BAND_PX, _SAMPLE = 6.0, 30
 _BAND_PX, _BAND_BLURS = 0.3, 2.2
 """Pixels further than this (plus so many blur widths) from both edges say where no edge is."""
 _WIDE_BAND_PX, _WIDE_BAND_BLURS = 2.0, 2.6
@@ -29,8 +23,9 @@ _WIDE_BAND_PX, _WIDE_BAND_BLURS = 2.0, 2.6
 _GAP_PX, _GAP_BLURS = 2.0, 3.0
 """Boxes nearer to an edge would see its blur."""
 _BOXES_FROM_PX = 24.0
-_MODEL_SHARE = 0.007
-_STEPS, _SAMPLE_STEPS = 6, 3
+_STEPS = 6
+_ODD = 1.3
+"""A corner whose misses are so much larger (squared) than most others' has something on it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +39,7 @@ class CornerFits:
     usable: BoolArray
     """(n,)."""
     noise_dn: FloatArray
-    """(n,) rms of the grey values about the model."""
+    """(n,) rms of the grey values about the model, over white and black."""
     contrast_dn: FloatArray
     """(n,) white minus black."""
     blur_px: FloatArray
@@ -70,78 +65,61 @@ def locate_corners(
 
     pixels (h, w); points_px (n, 2); maps (n, 2, 5): board coordinates about the corner in
     squares as polynomials (u, v, u^2, u v, v^2) of the pixel's offset; small: the image as
-    `shrink` makes it. A few corners tell the noise first, so that the fit can fade out the
-    pixels that the model cannot explain.
+    `shrink` makes it. A few corners tell first how noisy white and black are, how wide the edges,
+    and how far off the prediction is. Then most corners take one step; those with something odd
+    about them (a shadow's edge, dust, an insect) are fitted with the light's slopes free and less
+    weight for what the model cannot explain.
     """
     points_px, maps = np.ascontiguousarray(points_px), np.ascontiguousarray(maps)
-    half, square_px = _extent(maps, reach_squares)
-    none = np.zeros((0, 0), np.float32)
-    limits = np.array([reach_squares, _SAMPLE_BAND_PX, 0.0, saturation_dn])
-    some = slice(None, None, max(1, len(points_px) // _SAMPLE))
-    sample = (pixels, none, points_px[some], maps[some], half[some])
-    state, _, figures = _fit(*sample, 0.0, limits, 1.0, _SAMPLE_STEPS)
-    scale_dn, blur = _typical(state, figures)
-    boxes = none
-    limits[1] = _WIDE_BAND_PX + _WIDE_BAND_BLURS * blur
+    n = len(points_px)
+    half_px, square_px = _extent(maps, reach_squares)
+    seen = look(pixels, points_px, maps, half_px, reach_squares, saturation_dn)
+    state, information = np.zeros((n, CORNER_PARAMETERS)), np.zeros((n, 2, 2))
+    figures = np.zeros((n, 3))
+    blur = float(np.median(seen.blur_px)) if n else 1.0
+    limits = np.array([reach_squares, _WIDE_BAND_PX + _WIDE_BAND_BLURS * blur, 0.0, saturation_dn])
+    boxes, odd = np.zeros((0, 0), np.float32), np.arange(n)
     if square_px > _BOXES_FROM_PX:
         boxes = shrink(pixels) if small is None else small
-        limits[1] = _BAND_PX + _BAND_BLURS * blur
-        limits[2] = _GAP_PX + _GAP_BLURS * blur
-    state, information, figures = _fit(
-        pixels, boxes, points_px, maps, half, scale_dn, limits, blur, _STEPS
-    )
+        limits[1:3] = _BAND_PX + _BAND_BLURS * blur, _GAP_PX + _GAP_BLURS * blur
+        fit_even_corners(
+            pixels, boxes, seen.points_px, maps, half_px, seen.weights, limits, seen.blur_px,
+            _STEPS, state, information, figures,
+        )  # fmt: skip
+        odd = _odd(figures)
+    fit_corners(
+        pixels, boxes, seen.points_px, maps, half_px, odd, seen.weights, limits, seen.blur_px,
+        _STEPS, state, information, figures, NO_SIDES,
+    )  # fmt: skip
     ok = figures[:, 2] > 0
-    noise = residual_noise(figures, CORNER_PARAMETERS)
+    factor = np.sqrt(_misfit(figures))
     return CornerFits(
-        points_px + state[:, SHIFT:],
-        covariances(information, noise, ok),
+        seen.points_px + state[:, SHIFT:],
+        covariances(information, factor, ok),
         ok,
-        noise,
+        factor * seen.noise_dn,
         2.0 * np.abs(state[:, GAIN]),
         state[:, BLUR],
     )
 
 
+def _misfit(figures: FloatArray) -> FloatArray:
+    """(n,) mean square of the misses over what the noise explains."""
+    return np.asarray(figures[:, 0] / np.maximum(figures[:, 1], 1.0))
+
+
+def _odd(figures: FloatArray) -> IntArray:
+    """Index of the corners that even light and noise alone do not explain."""
+    even, misfit = figures[:, 2] > 0, _misfit(figures)
+    if even.any():
+        even &= misfit < _ODD * np.median(misfit[even])
+    return np.nonzero(~even)[0]
+
+
 def _extent(maps: FloatArray, reach_squares: float) -> tuple[FloatArray, float]:
     """Half the side of the window about each corner (n,), px, and a typical square's side, px."""
-    to_px = np.linalg.inv(maps[:, :, :2])
-    half = 1.05 * reach_squares * np.abs(to_px).sum(axis=2).max(axis=1) + 1.0
-    sides = np.sqrt((to_px * to_px).sum(axis=1))
-    return half, float(np.median(sides)) if len(sides) else 0.0
-
-
-def _fit(
-    pixels: PixelArray,
-    boxes: FloatArray,
-    points: FloatArray,
-    maps: FloatArray,
-    half: FloatArray,
-    scale_dn: float,
-    limits: FloatArray,
-    blur: float,
-    steps: int,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Run the compiled fit: state, information, figures."""
-    n = len(points)
-    state, information = np.zeros((n, CORNER_PARAMETERS)), np.zeros((n, 2, 2))
-    figures = np.zeros((n, 3))
-    points, maps, half = (np.ascontiguousarray(a) for a in (points, maps, half))
-    fit_corners(
-        pixels, boxes, points, maps, half, scale_dn, limits, blur, steps,
-        state, information, figures,
-    )  # fmt: skip
-    return state, information, figures
-
-
-def _typical(state: FloatArray, figures: FloatArray) -> tuple[float, float]:
-    """Scale of the residuals, DN, and blur, px, by the median of a sample of corners.
-
-    The scale is their rms, or what of the contrast a blur that changes over a corner's pixels
-    may leave unexplained, whichever is larger.
-    """
-    ok = figures[:, 2] > 0
-    if not ok.any():
-        return 1.0, 1.0
-    noise = float(np.median(residual_noise(figures, CORNER_PARAMETERS)[ok]))
-    contrast = 2.0 * float(np.median(np.abs(state[ok, GAIN])))
-    return max(noise, _MODEL_SHARE * contrast), float(np.median(state[ok, BLUR]))
+    a, b, c, d = maps[:, 0, 0], maps[:, 0, 1], maps[:, 1, 0], maps[:, 1, 1]
+    per_det = 1.0 / np.abs(a * d - b * c)
+    wide, tall = np.abs(d) + np.abs(b), np.abs(a) + np.abs(c)
+    half = 1.05 * reach_squares * per_det * np.maximum(wide, tall) + 1.0
+    return half, float(np.median(np.sqrt(per_det))) if len(maps) else 0.0
