@@ -63,23 +63,24 @@ def _per(slope: float) -> float:
 
 
 @compiled
-def _runs_in_band(
-    shape: tuple[int, int], at: FloatArray, half: float, c: FloatArray, limits: FloatArray,
-    runs: IntArray,
+def _gather_edges(
+    image: PixelArray, at: FloatArray, half: float, c: FloatArray, limits: FloatArray,
+    samples: FloatArray,
 ) -> int:  # fmt: skip
-    """Fill runs (n, 3): row, first and last column of the pixels near a corner's edges.
+    """Collect the pixels near a corner's edges and not nearer to the next corner's.
 
-    Gives how many runs there are.
+    Their u, v and grey; gives how many there are. Either edge crosses a row in one stretch; where
+    the two touch they are one.
     """
-    count, height, width = 0, shape[0], shape[1]
+    count, (height, width) = 0, image.shape
+    us, vs, greys = samples[0], samples[1], samples[2]
     reach_x, reach_y, band = limits[0] / limits[4], limits[0] / limits[5], limits[1]
     per_x, per_y = _per(c[0]), _per(c[5])
     a_slope, b_slope = -c[1] * per_x, -c[6] * per_y
     a_band, b_band = band * abs(per_x), band * abs(per_y)
     a_reach, b_reach = reach_x * abs(per_x), reach_y * abs(per_y)
-    for row in range(
-        max(0, math.ceil(at[1] - half)), min(height - 1, math.floor(at[1] + half)) + 1
-    ):
+    top, bottom = max(0, math.ceil(at[1] - half)), min(height - 1, math.floor(at[1] + half))
+    for row in range(top, bottom + 1):
         v = row - at[1]
         a, b = a_slope * v, b_slope * v
         low, high = max(a - a_reach, b - b_reach, -half), min(a + a_reach, b + b_reach, half)
@@ -87,34 +88,14 @@ def _runs_in_band(
         last = min(math.floor(at[0] + min(high, a + a_band)), width - 1)
         again = max(math.ceil(at[0] + max(low, b - b_band)), 0)
         end = min(math.floor(at[0] + min(high, b + b_band)), width - 1)
-        if last < first:
-            first, last = again, end
-        elif end >= again:
-            if again <= last + 1 and first <= end + 1:
-                first, last = min(first, again), max(last, end)
-            else:
-                runs[count, 0], runs[count, 1], runs[count, 2] = row, again, end
+        if first <= last and again <= end and again <= last + 1 and first <= end + 1:
+            first, last, end = min(first, again), max(last, end), again - 1
+        for part in range(2):
+            start, stop = (first, last) if part == 0 else (again, end)
+            for column in range(start, stop + 1):
+                us[count], vs[count] = np.float32(column - at[0]), np.float32(v)
+                greys[count] = np.float32(image[row, column])
                 count += 1
-        if last >= first:
-            runs[count, 0], runs[count, 1], runs[count, 2] = row, first, last
-            count += 1
-    return count
-
-
-@compiled
-def _read_runs(
-    image: PixelArray, at: FloatArray, runs: IntArray, number: int, samples: FloatArray
-) -> int:
-    """Fill samples with the pixels of the runs: u, v, grey; gives how many pixels that is."""
-    count = 0
-    us, vs, greys = samples[0], samples[1], samples[2]
-    for k in range(number):
-        row, first, here = runs[k, 0], runs[k, 1], runs[k, 2] - runs[k, 1] + 1
-        start, v = np.float32(first - at[0]), np.float32(row - at[1])
-        for i in range(here):
-            us[count + i], vs[count + i] = start + np.float32(i), v
-            greys[count + i] = np.float32(image[row, first + i])
-        count += here
     return count
 
 
@@ -194,7 +175,7 @@ def fit_corners(
     normal, factor, right, step = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n), np.zeros(n)
     room = int(2 * half.max() + 4) ** 2 + _LANES if len(half) else _LANES
     samples, c = np.zeros((4, room), np.float32), np.zeros(SCALARS, np.float32)
-    runs = np.zeros((2 * int(2 * half.max() + 4) if len(half) else 0, 3), np.int64)
+    settled_px = _SETTLED_PX if noise[4] > 0.0 else _NEARLY_PX
     bounds = np.zeros(6)
     bounds[:4] = limits
     for k in which:
@@ -203,8 +184,7 @@ def fit_corners(
         _edges_in_px(m, c)
         bounds[4] = math.sqrt(m[0, 0] * m[0, 0] + m[0, 1] * m[0, 1])
         bounds[5] = math.sqrt(m[1, 0] * m[1, 0] + m[1, 1] * m[1, 1])
-        number = _runs_in_band(image.shape, points[k], half[k], c, bounds, runs)
-        count = _read_runs(image, points[k], runs, number, samples)
+        count = _gather_edges(image, points[k], half[k], c, bounds, samples)
         if count < MIN_PIXELS:
             continue
         samples[3, :count] = 1.0
@@ -232,7 +212,7 @@ def fit_corners(
                 p[SHIFT] *= gain / p[GAIN]
                 p[SHIFT + 1] *= gain / p[GAIN]
             moved_px = abs(step[SHIFT]) + abs(step[SHIFT + 1])
-            if turn > 0 and moved_px < _SETTLED_PX:
+            if turn > 0 and moved_px < settled_px:
                 break
             p[BLUR] = min(max(p[BLUR], 0.35), 6.0)
             if abs(p[SHIFT]) + abs(p[SHIFT + 1]) > 0.5 * half[k]:
@@ -263,7 +243,6 @@ def fit_even_corners(
     room = int(2 * half.max() + 4) ** 2 + _LANES if len(half) else _LANES
     samples, c = np.zeros((4, room), np.float32), np.zeros(SCALARS, np.float32)
     samples[3, :] = 1.0
-    runs = np.zeros((2 * int(2 * half.max() + 4) if len(half) else 0, 3), np.int64)
     bounds, planes, parts = np.zeros(6), np.zeros((2, 3)), np.zeros((8, 4))
     bounds[:4] = limits
     for k in range(len(points)):
@@ -274,8 +253,7 @@ def fit_even_corners(
         _edges_in_px(m, c)
         bounds[4] = math.sqrt(m[0, 0] * m[0, 0] + m[0, 1] * m[0, 1])
         bounds[5] = math.sqrt(m[1, 0] * m[1, 0] + m[1, 1] * m[1, 1])
-        number = _runs_in_band(image.shape, points[k], half[k], c, bounds, runs)
-        count = _read_runs(image, points[k], runs, number, samples)
+        count = _gather_edges(image, points[k], half[k], c, bounds, samples)
         if count < MIN_PIXELS:
             continue
         for i in range(3):

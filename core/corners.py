@@ -13,6 +13,7 @@ from core.errors import TargetNotFoundError
 from core.frames import GreyImage
 from core.lattice import Lattice, NamedLattice, join, name_near, name_on_board
 from core.lens import Lens
+from core.map_kernels import TERMS, fit_maps
 from core.pixel_fit import as_float
 from core.pose import Pose
 from core.resection import MIN_CORNERS, BoardView, resect
@@ -225,9 +226,6 @@ def predict_corners(
         [steps * board.square_mm, np.zeros((9, 1))], axis=1
     )
     pixels = lens.project(pose.apply(around.reshape(-1, 3))).reshape(-1, 9, 2)
-    offset = pixels - points[:, None, :]
-    u, v = offset[:, :, 0], offset[:, :, 1]
-    basis = np.stack([u, v, u * u, u * v, v * v], axis=2)
-    turned = basis.transpose(0, 2, 1)
-    maps = np.linalg.solve(turned @ basis, turned @ np.broadcast_to(steps, (len(index), 9, 2)))
-    return index, points, np.asarray(maps.transpose(0, 2, 1))
+    maps = np.empty((len(index), 2, TERMS))
+    fit_maps(pixels, points, steps, maps)
+    return index, points, maps

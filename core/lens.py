@@ -69,6 +69,12 @@ class Lens:
         self._run(points_mm, pixels, nothing, np.empty((0, 2, self.size)))
         return pixels
 
+    def project_slopes(self, points_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Project points (n, 3), with d(px)/d(point) (n, 2, 3)."""
+        pixels, by_point = np.empty((len(points_mm), 2)), np.empty((len(points_mm), 2, 3))
+        self._run(points_mm, pixels, by_point, np.empty((0, 2, self.size)))
+        return pixels, by_point
+
     def project_jacobians(self, points_mm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Project points (n, 3), with d(px)/d(point) (n, 2, 3) and d(px)/d(lens) (n, 2, size)."""
         n = len(points_mm)
@@ -129,7 +135,7 @@ class Lens:
         flat = abs(self.parameters[0] * self.parameters[1])
         directions = _directions(angle, around)
         for _ in range(30):
-            px, by_point, _ = self.project_jacobians(directions)
+            px, by_point = self.project_slopes(directions)
             across, over = _tangents(directions)
             by_turn = by_point @ np.stack([across, over], axis=2)
             sound = np.abs(np.linalg.det(by_turn)) > 1e-9 * flat

@@ -20,7 +20,7 @@ def perspective(
     """Project points (n, 3) by intrinsics p[:5] and k1, k2, p1, p2, k3, k4, k5, k6 = p[5:13].
 
     px (n, 2), by_point (n, 2, 3) and by_lens (n, 2, m) are filled; m may be any number up to 13.
-    With by_lens of no rows only px is computed.
+    Where by_lens has no rows it is left out, and where by_point has none, both.
     """
     m = by_lens.shape[2]
     terms = np.zeros((2, MOST_DISTORTION))
@@ -35,7 +35,7 @@ def perspective(
         yd = y * radial + p[7] * (r2 + 2.0 * y * y) + 2.0 * p[8] * x * y
         px[n, 0] = p[0] * xd + p[2] * yd + p[3]
         px[n, 1] = p[1] * yd + p[4]
-        if by_lens.shape[0] == 0:
+        if by_point.shape[0] == 0:
             continue
         above_slope = p[5] + r2 * (2.0 * p[6] + 3.0 * r2 * p[9])
         below_slope = p[10] + r2 * (2.0 * p[11] + 3.0 * r2 * p[12])
@@ -49,6 +49,8 @@ def perspective(
         by_point[n, 1, 1] = p[1] * yy * per_z
         for row in range(2):
             by_point[n, row, 2] = -(x * by_point[n, row, 0] + y * by_point[n, row, 1])
+        if by_lens.shape[0] == 0:
+            continue
         by_intrinsics(by_lens, n, xd, yd)
         power = r2 * below
         for k, at in enumerate((0, 1, 4)):
@@ -96,7 +98,7 @@ def fisheye(
         xd, yd = x * scale, y * scale
         px[n, 0] = p[0] * xd + p[2] * yd + p[3]
         px[n, 1] = p[1] * yd + p[4]
-        if by_lens.shape[0] == 0:
+        if by_point.shape[0] == 0:
             continue
         slope = 1.0 + t2 * (3.0 * p[5] + t2 * (5.0 * p[6] + t2 * (7.0 * p[7] + 9.0 * t2 * p[8])))
         per_d2 = 1.0 / (r * r + z * z)
@@ -108,6 +110,8 @@ def fisheye(
         by_point[n, 0, 0], by_point[n, 0, 1] = p[0] * xx + p[2] * xy, p[0] * xy + p[2] * yy
         by_point[n, 0, 2] = p[0] * xz + p[2] * yz
         by_point[n, 1, 0], by_point[n, 1, 1], by_point[n, 1, 2] = p[1] * xy, p[1] * yy, p[1] * yz
+        if by_lens.shape[0] == 0:
+            continue
         by_intrinsics(by_lens, n, xd, yd)
         power = theta * per_r
         for k in range(4):

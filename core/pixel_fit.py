@@ -58,12 +58,13 @@ def solve_spd(matrix: FloatArray, vector: FloatArray, n: int) -> bool:
             for k in range(j):
                 total -= matrix[i, k] * matrix[j, k]
             matrix[i, j] = total / pivot
-    _substitute(matrix, vector, n)
+    substitute(matrix, vector, n)
     return True
 
 
 @compiled
-def _substitute(factor: FloatArray, vector: FloatArray, n: int) -> None:
+def substitute(factor: FloatArray, vector: FloatArray, n: int) -> None:
+    """Solve in place with the Cholesky factor that `solve_spd` leaves."""
     for i in range(n):
         total = vector[i]
         for k in range(i):
@@ -163,7 +164,9 @@ def residual_noise(figures: FloatArray, parameters: int) -> FloatArray:
 
 def covariances(information: FloatArray, noise: FloatArray, ok: BoolArray) -> FloatArray:
     """Covariances (n, 2, 2), px^2, of the usable ones; NaN for the others."""
-    covariance = np.full((len(ok), 2, 2), np.nan)
-    if ok.any():
-        covariance[ok] = np.linalg.inv(information[ok]) * (noise[ok] ** 2)[:, None, None]
+    a, b, d = information[:, 0, 0], information[:, 0, 1], information[:, 1, 1]
+    scale = noise**2 / np.where(ok, a * d - b * b, np.nan)
+    covariance = np.empty((len(ok), 2, 2))
+    covariance[:, 0, 0], covariance[:, 1, 1] = scale * d, scale * a
+    covariance[:, 0, 1] = covariance[:, 1, 0] = -scale * b
     return covariance

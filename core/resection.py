@@ -37,8 +37,14 @@ class BoardView:
 
     def whitening(self) -> FloatArray:
         """(n, 2, 2) matrices that make the residuals of unit variance."""
-        covariance = self.covariance_px2 + POSITION_FLOOR_PX**2 * np.eye(2)
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+        floor = POSITION_FLOOR_PX**2
+        uu, vv = self.covariance_px2[:, 0, 0] + floor, self.covariance_px2[:, 1, 1] + floor
+        uv = self.covariance_px2[:, 0, 1]
+        whiten = np.zeros_like(self.covariance_px2)
+        whiten[:, 0, 0] = 1.0 / np.sqrt(uu)
+        whiten[:, 1, 1] = 1.0 / np.sqrt(vv - uv * uv / uu)
+        whiten[:, 1, 0] = -whiten[:, 1, 1] * uv / uu
+        return whiten
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +133,7 @@ def resect(
     corners_mm: FloatArray,
     view: BoardView,
     start: Pose | None = None,
-    settled: float = 1e-10,
+    settled: float = 1e-9,
 ) -> BoardPose:
     """Fit the pose to the located corners by robust Gauss-Newton.
 
@@ -155,7 +161,7 @@ def _resect(
     normal, right = np.empty((6, 6)), np.empty(6)
     for _ in range(12):
         rotated = points @ pose.R.T
-        projected, by_point, _ = lens.project_jacobians(rotated + pose.t_mm)
+        projected, by_point = lens.project_slopes(rotated + pose.t_mm)
         residual = view.points_px - projected
         whiten_residuals(residual, whiten, white, norm)
         scale = robust_scale(norm)
