@@ -33,6 +33,11 @@ def why_absent(store: Store, boot_id: str) -> tuple[GapCause, str]:
         return before.cause, before.detail if before.boot_id == boot_id else detail
     if stopped_utc is not None:
         return GapCause.STOPPED, f"stopped at {stopped_utc}"
+    salvaged = store.get_mark(Mark.SALVAGED)
+    if salvaged is not None and last_boot_id == boot_id:
+        return GapCause.STORAGE_FAILED, salvaged
+    if salvaged is not None and last_boot_id is None:
+        return GapCause.UNKNOWN, salvaged
     if last_boot_id is None:
         return GapCause.STOPPED, "dcamd had not run before"
     if last_boot_id != boot_id:

@@ -32,9 +32,10 @@ from daemon.recovery import mark_stop, recover
 from daemon.reporting import Reporter
 from daemon.run_state import runtime_directory
 from daemon.runner import SlotRunner
-from daemon.store.database import Store, database_bytes, open_store
+from daemon.store.database import Store, database_bytes
 from daemon.store.errors import StoreError
 from daemon.store.frames import FrameArchive
+from daemon.store.opening import damage_noted, open_checked_store
 from daemon.supervision import PROCESS_SPENT, Circuit, ProcessSpentError
 from daemon.version import VERSION
 from drivers.errors import DriverError
@@ -83,7 +84,11 @@ def serve(installation: Installation, max_slots: int | None = None) -> None:
     with stop_on_signals() as stop, sole_writer(state):
         reporter = Reporter(Notifier.from_environment(), runtime_directory(state))
         reporter.opening(database_bytes(state))
-        with time_limit_to_close() as begin_to_close, closing(open_store(state)) as store:
+        with (
+            time_limit_to_close() as begin_to_close,
+            closing(open_checked_store(state, tell=reporter.salvaging)) as store,
+            damage_noted(store),
+        ):
             try:
                 _run(installation, store, stop, reporter, begin_to_close, max_slots)
             finally:

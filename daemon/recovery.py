@@ -11,6 +11,7 @@ from datetime import datetime, timedelta
 import structlog
 
 from daemon.absence import Absence, absence_text, read_absence, why_absent
+from daemon.holes import account_for_lost, note_schedule
 from daemon.pipeline import Pipeline, record_late
 from daemon.redating import finish_moves
 from daemon.schedule import SECOND, Schedule
@@ -32,6 +33,7 @@ def recover(line: Pipeline, schedule: Schedule) -> datetime | None:
     row are measured and recorded late, which takes their slots out of the gap again. Raises
     StoreError.
     """
+    note_schedule(line.store, schedule)
     cause, detail = why_absent(line.store, line.machine.boot_id)
     close_gap(line, schedule, cause, detail)
     mark_start(line, schedule, cause, detail)
@@ -39,6 +41,7 @@ def recover(line: Pipeline, schedule: Schedule) -> datetime | None:
     since = EPOCH if last_row is None else last_row - LOOK_BACK
     line.archive.mend(since)
     measure_orphans(line, since)
+    account_for_lost(line)
     # Late rows take their time; what was missed meanwhile has the same cause.
     return close_gap(line, schedule, cause, detail)
 

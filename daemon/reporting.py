@@ -58,11 +58,18 @@ class Reporter:
         self._notifier.start_takes(START_S + database_bytes / CHECKED_BYTES_A_S)
         self._tell()
 
+    def salvaging(self, done: int, total: int) -> None:
+        """A damaged database is being saved, page by page."""
+        text = f"database damaged, saving what can be read: page {done} of {total}"
+        self._notifier.status(text)
+        self._notifier.start_takes(START_S)
+        self._tell(reason=text)
+
     def recovering(self) -> None:
         """What the last daemon left is being made whole."""
         self._notifier.status("recovering")
         self._notifier.start_takes(START_S)
-        self._tell(phase="recovering")
+        self._tell(phase="recovering", reason="")
 
     def running(self, period_s: int, burst_s: float = 0.0) -> None:
         """The next slot will be taken; from now on a cycle that takes too long is a hang."""

@@ -82,6 +82,7 @@ class SlotRunner:
         """
         done = 0
         while not self._stop.is_set() and (max_slots is None or done < max_slots):
+            self._require_sound()
             slot = self._next_slot()
             self._settle_debts()
             if not self._line.clock.wait_until(slot, self._stop):
@@ -97,7 +98,13 @@ class SlotRunner:
                 self._run(slot)
             done += 1
         self._settle_debts()
+        self._require_sound()
         return done
+
+    def _require_sound(self) -> None:
+        """End the daemon over a damaged database: only a start can set it aside."""
+        if self._line.store.damage is not None:
+            raise self._line.store.damage
 
     def _next_slot(self) -> datetime:
         """Choose the next slot; those that have gone by unused become a gap."""

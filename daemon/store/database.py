@@ -20,6 +20,7 @@ from sqlalchemy.orm import Session
 
 from daemon.store import gaps as gap_runs
 from daemon.store import undated
+from daemon.store.accounting import fates
 from daemon.store.convert import (
     calibration_record,
     calibration_row,
@@ -27,10 +28,13 @@ from daemon.store.convert import (
     measurement_row,
 )
 from daemon.store.copying import Copied, Tell, backup
+from daemon.store.damage import Depth, find_damage
 from daemon.store.digest import CheckedSession
 from daemon.store.durable import fsync_directory, make_directory_durable
-from daemon.store.engine import make_engine, quick_check, translated
+from daemon.store.engine import make_engine, translated
 from daemon.store.errors import (
+    TO_SALVAGE,
+    DatabaseDamagedError,
     DatabaseMissingError,
     DatabaseUnwritableError,
     SlotTakenError,
@@ -56,7 +60,7 @@ from daemon.store.schema import (
     MarkRow,
     MeasurementRow,
 )
-from daemon.store.sqlite import connect, database_exists
+from daemon.store.sqlite import connect, connect_readonly, database_exists, said_plainly
 from daemon.store.times import slot_text
 
 ALWAYS = datetime(1, 1, 1, tzinfo=UTC)
@@ -67,11 +71,17 @@ _PAGE = 500
 
 
 def open_store(
-    directory: Path, *, create: bool = True, migrate: bool = True, now_utc: datetime | None = None
+    directory: Path,
+    *,
+    create: bool = True,
+    migrate: bool = True,
+    now_utc: datetime | None = None,
+    checked: bool = False,
 ) -> Store:
     """Open the database of a state directory for writing; make or migrate it as allowed.
 
-    The file is checked, and saved under a dated name (of `now_utc`) before a migration.
+    Its newest rows are looked at, unless it was `checked` before; it is saved under a dated name
+    (of `now_utc`) before a migration.
     Raises DatabaseMissingError, DatabaseDamagedError, DatabaseNewerError, DatabaseOlderError.
     """
     path = directory / FILE_NAME
@@ -83,8 +93,9 @@ def open_store(
     except OSError as error:
         msg = f"{directory}: cannot be made ({error.strerror}): check the path and its permissions"
         raise DatabaseUnwritableError(msg) from error
-    if exists:
-        quick_check(path)
+    if exists and not checked and (found := find_damage(path, Depth.NEWEST)):
+        msg = f"{path}: damaged ({found}): {TO_SALVAGE}"
+        raise DatabaseDamagedError(msg)
     engine = make_engine(path)
     try:
         if migrate:
@@ -128,6 +139,8 @@ class Store:
 
     def __init__(self, path: Path, engine: Engine) -> None:
         self.path = path
+        self.damage: DatabaseDamagedError | None = None
+        """What was met first of the file's damage; whoever opened it should close and end."""
         self._engine = engine
         self._writer = engine.execution_options(dcam_begin="IMMEDIATE")
 
@@ -314,6 +327,15 @@ class Store:
         with self._write() as session:
             gap_runs.blame(session, since, last, old, new, detail)
 
+    def holes(self, slots: range) -> Iterator[range]:
+        """Those of `slots` (Unix seconds) with neither row nor gap, as runs, in order.
+
+        Each short stretch is looked at by itself, so that no writer waits and no log grows.
+        """
+        with said_plainly(self.path), closing(connect_readonly(self.path)) as connection:
+            for fate in fates(connection, slots):
+                yield from fate.holes
+
     # Gaps
 
     def record_gap(
@@ -455,13 +477,22 @@ class Store:
 
     @contextmanager
     def _read(self) -> Iterator[Session]:
-        with translated(self.path), CheckedSession(self._engine) as session:
+        with self._translated(), CheckedSession(self._engine) as session:
             yield session
 
     @contextmanager
     def _write(self) -> Iterator[Session]:
-        with translated(self.path), CheckedSession(self._writer) as session, session.begin():
+        with self._translated(), CheckedSession(self._writer) as session, session.begin():
             yield session
+
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
+        try:
+            with translated(self.path):
+                yield
+        except DatabaseDamagedError as error:
+            self.damage = self.damage or error
+            raise
 
     def _add(self, session: Session, record: MeasurementRecord) -> None:
         try:

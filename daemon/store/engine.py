@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError, StatementError
 from sqlalchemy.pool import QueuePool
 
-from daemon.store.errors import TO_SALVAGE, DatabaseDamagedError, StoreError
+from daemon.store.errors import StoreError
 from daemon.store.sqlite import connect, connect_readonly, said_plainly, translate
 
 
@@ -48,13 +48,3 @@ def translated(path: Path) -> Iterator[None]:
     except SQLAlchemyError as error:
         msg = f"{path}: {error}"
         raise StoreError(msg) from error
-
-
-def quick_check(path: Path) -> None:
-    """Raise DatabaseDamagedError unless SQLite finds the file's pages consistent."""
-    with translated(path), closing(connect(path)) as connection:
-        findings = [str(row[0]) for row in connection.execute("PRAGMA quick_check(1)")]
-    if findings != ["ok"]:
-        what = findings[0].splitlines()[-1] if findings else "no answer"
-        msg = f"{path}: damaged ({what}): {TO_SALVAGE}"
-        raise DatabaseDamagedError(msg)

@@ -30,6 +30,10 @@ class DatabaseDamagedError(StoreError):
     """The file is not a SQLite database, or its pages contradict each other."""
 
 
+class DatabaseForeignError(StoreError):
+    """A sound SQLite database, but of another program."""
+
+
 class DamagedRowError(Exception):
     """A row is not what was written: within the store only, it leaves as DatabaseDamagedError."""
 

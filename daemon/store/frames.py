@@ -121,14 +121,15 @@ class FrameArchive:
             sub_camera=_camera(known, "sub"),
         )
 
-    def stored_slots(self, since: datetime = EPOCH) -> list[datetime]:
-        """The slots of which both images are there, from `since` on, in order.
+    def stored_slots(self, since: datetime = EPOCH, last: datetime | None = None) -> list[datetime]:
+        """The slots of which both images are there, `since` <= slot <= `last`, in order.
 
         Raises ArchiveError.
         """
         with translated(self.directory):
-            found = (slot for day in self._days(since) for slot, _ in pairs(day))
-            return list(dict.fromkeys(slot for slot in found if slot >= since))
+            found = (slot for day in self._days(since, last) for slot, _ in pairs(day))
+            wanted = (slot for slot in found if slot >= since and (last is None or slot <= last))
+            return list(dict.fromkeys(wanted))
 
     def numbers(self, slot_utc: datetime) -> list[int]:
         """The numbers of a slot's pairs of which both images are there, in order.
@@ -167,12 +168,13 @@ class FrameArchive:
         folder = f"{FOLDER}/{slot_utc.astimezone(UTC):%Y/%m/%d}"
         return StoredPair(slot_utc, f"{folder}/{main}", f"{folder}/{sub}")
 
-    def _days(self, since: datetime) -> Iterator[Path]:
+    def _days(self, since: datetime, last: datetime | None = None) -> Iterator[Path]:
         first = f"{since.astimezone(UTC):%Y/%m/%d}"
+        end = "9999" if last is None else f"{last.astimezone(UTC):%Y/%m/%d}"
         days = self.directory.glob("[0-9][0-9][0-9][0-9]/[01][0-9]/[0-3][0-9]")
         for day in sorted(days):
             name = day.relative_to(self.directory).as_posix()
-            if name >= first and _is_date(name):
+            if first <= name <= end and _is_date(name):
                 yield day
 
 

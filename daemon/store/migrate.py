@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import uuid
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from alembic import command
 from alembic.config import Config
@@ -13,9 +18,14 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, Engine, inspect, text
 
 from daemon.store import revisions
+from daemon.store.checksum import row_digest
 from daemon.store.copying import backup
 from daemon.store.engine import translated
-from daemon.store.errors import DatabaseDamagedError
+from daemon.store.errors import TO_SALVAGE, DatabaseDamagedError, DatabaseForeignError
+from daemon.store.records import Mark
+from daemon.store.schema import Base
+
+SCHEMA_QUERY = "SELECT type, name, tbl_name, sql FROM sqlite_master ORDER BY name"
 
 
 def alembic_config() -> Config:
@@ -43,7 +53,7 @@ def known_revisions() -> list[str]:
 def revision(connection: Connection, path: Path) -> str | None:
     """A database's revision; None for one without tables.
 
-    Raises DatabaseDamagedError for a database that this program never made.
+    Raises DatabaseForeignError for a database that this program never made.
     """
     tables = set(inspect(connection).get_table_names())
     if not tables:
@@ -52,8 +62,11 @@ def revision(connection: Connection, path: Path) -> str | None:
         found = connection.scalar(text("SELECT version_num FROM alembic_version"))
         if found is not None:
             return str(found)
+    if tables & set(Base.metadata.tables):
+        msg = f"{path}: damaged (its revision is missing): {TO_SALVAGE}"
+        raise DatabaseDamagedError(msg)
     msg = f"{path}: a SQLite database, but not one of this program: name another state directory"
-    raise DatabaseDamagedError(msg)
+    raise DatabaseForeignError(msg)
 
 
 def require_head(engine: Engine, path: Path) -> None:
@@ -80,7 +93,7 @@ def migrate(engine: Engine, path: Path, now_utc: datetime) -> Path | None:
         backup(path, saved)
     try:
         with translated(path):
-            _upgrade(engine)
+            upgrade(engine)
     except BaseException:
         if saved is not None:  # nothing has changed; copies must not pile up with every restart
             saved.unlink()
@@ -88,15 +101,45 @@ def migrate(engine: Engine, path: Path, now_utc: datetime) -> Path | None:
     return saved
 
 
-def _upgrade(engine: Engine) -> None:
-    """Upgrade in a transaction that holds the write lock from its start.
+def upgrade(engine: Engine, target: str | None = None) -> None:
+    """Upgrade to a revision, by default this version's, in one transaction.
 
-    The revision is read again inside it, so that of two processes only one upgrades.
+    It holds the write lock from its start, and the revision is read again inside it, so that of
+    two processes only one upgrades.
     """
     config = alembic_config()
     with engine.execution_options(dcam_begin="IMMEDIATE").begin() as connection:
         config.attributes["connection"] = connection
-        command.upgrade(config, "head")
+        command.upgrade(config, target or "head")
+        if target in {None, head_revision()}:
+            _note_schema(connection)
+
+
+def schema_digests(definitions: Iterable[Sequence[Any]]) -> dict[str, str]:
+    """A short digest of each table's, index's and trigger's definition, from `SCHEMA_QUERY`."""
+    return {
+        str(name): hashlib.blake2b(
+            f"{kind} {table} {sql}".encode(errors="surrogateescape"), digest_size=6
+        ).hexdigest()
+        for kind, name, table, sql in definitions
+    }
+
+
+def _note_schema(connection: Connection) -> None:
+    digests = schema_digests(connection.exec_driver_sql(SCHEMA_QUERY).all())
+    _set_mark(connection, Mark.SCHEMA, json.dumps([head_revision(), digests]), replace=True)
+    _set_mark(connection, Mark.IDENTITY, uuid.uuid4().hex, replace=False)
+
+
+def _set_mark(connection: Connection, name: Mark, value: str, *, replace: bool) -> None:
+    mark = {"name": name.value, "value": value}
+    connection.execute(
+        text(
+            "INSERT INTO mark VALUES (:name, :value, :digest) ON CONFLICT (name) DO UPDATE"
+            " SET value = :value, digest = :digest WHERE :replace"
+        ),
+        {**mark, "digest": row_digest("mark", mark), "replace": replace},
+    )
 
 
 def _clear_half_copies(path: Path) -> None:

@@ -99,7 +99,7 @@ class Overview:
             self._value("SELECT min(start_utc) FROM gap"),
             self._value("SELECT max(end_utc) FROM gap"),
         ]
-        known = [datetime.fromisoformat(limit) for limit in limits if limit is not None]
+        known = [time for time in map(_time, limits) if time is not None]
         return (min(known), max(known)) if known else None
 
     def last_row(self) -> MeasurementRecord | None:

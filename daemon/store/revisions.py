@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from daemon.store.errors import DatabaseDamagedError, DatabaseNewerError, DatabaseOlderError
+from daemon.store.errors import DatabaseForeignError, DatabaseNewerError, DatabaseOlderError
 
 REVISIONS = ("0001", "0002", "0003", "0004", "0005")
 """In the order in which they are applied; the last is this version's."""
@@ -17,11 +17,11 @@ REVISIONS = ("0001", "0002", "0003", "0004", "0005")
 def require_head(found: str | None, path: Path, known: Sequence[str] = REVISIONS) -> None:
     """Raise DatabaseNewerError or DatabaseOlderError unless the revision is this version's.
 
-    Raises DatabaseDamagedError where this program never made any table.
+    Raises DatabaseForeignError where this program never made any table.
     """
     if found is None:
         msg = f"{path}: a SQLite database, but not one of this program: name another --state"
-        raise DatabaseDamagedError(msg)
+        raise DatabaseForeignError(msg)
     require_known(found, path, known)
     if found != known[-1]:
         msg = (

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from daemon.store.damage_note import read_note
 from daemon.store.errors import (
     TO_SALVAGE,
     DamagedRowError,
@@ -89,21 +90,37 @@ def connect_readonly(path: Path) -> sqlite3.Connection:
 def database_exists(path: Path) -> bool:
     """Whether a database is there; an empty file is what a cut leaves of a database's making.
 
-    Raises DatabaseDamagedError for a file that is none, DatabaseUnwritableError for one that
-    may not be read.
+    Raises DatabaseDamagedError for a file that is none, and as long as one is being salvaged;
+    DatabaseUnwritableError for one that may not be read.
     """
-    try:
-        with path.open("rb") as file:
-            start = file.read(len(_MAGIC))
-    except FileNotFoundError:
-        return False
-    except OSError as error:
-        msg = f"{path}: cannot be read ({error.strerror}): check its permissions"
-        raise DatabaseUnwritableError(msg) from error
+    note = read_note(path.parent)
+    if note is not None and note.aside is not None:
+        msg = f"{path}: damaged, and its salvage is not complete: restart dcamd, it goes on with it"
+        raise DatabaseDamagedError(msg)
+    if path.is_dir():
+        msg = f"{path}: a directory and not a database: {TO_SALVAGE}"
+        raise DatabaseDamagedError(msg)
+    start = _beginning(path)
     if start and start != _MAGIC:
         msg = f"{path}: not a SQLite database: {TO_SALVAGE}"
         raise DatabaseDamagedError(msg)
     return bool(start)
+
+
+def is_database_file(path: Path) -> bool:
+    """Whether a file begins as a SQLite database. Raises DatabaseUnwritableError."""
+    return _beginning(path) == _MAGIC
+
+
+def _beginning(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_MAGIC))
+    except FileNotFoundError:
+        return b""
+    except OSError as error:
+        msg = f"{path}: cannot be read ({error.strerror}): check its permissions"
+        raise DatabaseUnwritableError(msg) from error
 
 
 @contextmanager

@@ -5,6 +5,7 @@ import re
 import shutil
 import signal
 import socket
+import sqlite3
 import subprocess
 import sys
 from contextlib import closing
@@ -330,10 +331,12 @@ def test_usage_mistake_is_one_line_and_exit_2(site: Site) -> None:
     assert len(result.stderr.splitlines()) == 1
 
 
-def test_database_that_is_none_is_one_line_and_exit_5(site: Site) -> None:
+def test_database_of_another_program_is_one_line_and_exit_5(site: Site) -> None:
     site.state.mkdir()
-    (site.state / "dcam.db").write_text("not a database")
+    with closing(sqlite3.connect(site.state / "dcam.db")) as connection:
+        connection.execute("CREATE TABLE notes (text)")
     result = site.run("--max-slots", "1")
     assert result.returncode == 5
     (line,) = result.stderr.splitlines()
-    assert "not a SQLite database" in line
+    assert "a SQLite database, but not one of this program" in line
+    assert [path.name for path in site.state.glob("dcam.db*")] == ["dcam.db"]

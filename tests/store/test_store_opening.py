@@ -21,12 +21,14 @@ from daemon.store.database import open_store, open_store_readonly
 from daemon.store.engine import make_engine
 from daemon.store.errors import (
     DatabaseDamagedError,
+    DatabaseForeignError,
     DatabaseMissingError,
     DatabaseNewerError,
     DatabaseOlderError,
     DatabaseUnwritableError,
     StoreError,
 )
+from daemon.store.opening import open_checked_store
 from daemon.store.revisions import REVISIONS
 from daemon.store.schema import Base
 from daemon.store.times import slot_text
@@ -250,8 +252,9 @@ def test_damaged_pages_are_noticed_at_the_start(tmp_path: Path) -> None:
 def test_another_programs_database_is_refused(tmp_path: Path) -> None:
     with closing(sqlite3.connect(tmp_path / "dcam.db")) as connection:
         connection.execute("CREATE TABLE notes (text)")
-    with pytest.raises(DatabaseDamagedError, match="not one of this program"):
-        open_store(tmp_path)
+    for opener in (open_store, open_store_readonly, open_checked_store):
+        with pytest.raises(DatabaseForeignError, match="not one of this program"):
+            opener(tmp_path)
     assert tables(tmp_path / "dcam.db") == {"notes"}
 
 

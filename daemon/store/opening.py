@@ -1,0 +1,80 @@
+"""How dcamd opens its database: checked, and if it is damaged salvaged, so that slots go on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+import structlog
+
+from daemon.store.damage import Depth, ended_in_order, find_damage
+from daemon.store.damage_note import Note, clear_note, note_damage, read_note
+from daemon.store.database import Store, open_store
+from daemon.store.errors import DatabaseUnwritableError
+from daemon.store.frames import FOLDER
+from daemon.store.overview import FILE_NAME
+from daemon.store.salvage import Tell, salvage
+
+_log = structlog.get_logger("dcam.daemon")
+
+
+def open_checked_store(
+    directory: Path, now_utc: datetime | None = None, tell: Tell = lambda _done, _total: None
+) -> Store:
+    """Open the database of a state directory for dcamd, which alone may set it aside.
+
+    How much is looked at follows from how it was left: see `Depth`. A damaged one is salvaged, with
+    `tell` hearing how far that is. Raises StoreError: newer, of another program, busy, disk full or
+    failing.
+    """
+    path = directory / FILE_NAME
+    try:
+        note = read_note(directory)
+        why = note.why if note and note.aside else _damage(path, note)
+        if why is not None:
+            salvage(path, why, now_utc or datetime.now(UTC), tell)
+        elif note is not None:
+            _log.warning("database_sound_after_all", noted=note.why)
+            clear_note(directory)
+    except OSError as error:
+        msg = f"{path}: damaged, and cannot be salvaged ({error}): look at the disk"
+        raise DatabaseUnwritableError(msg) from error
+    return open_store(directory, now_utc=now_utc, checked=True)
+
+
+@contextmanager
+def damage_noted(store: Store) -> Iterator[None]:
+    """Note damage that was met within the block, so that the next start looks at everything.
+
+    SQLite finds only a part of what a row's checksum shows.
+    """
+    try:
+        yield
+    finally:
+        if store.damage is not None:
+            with suppress(OSError):
+                note_damage(store.path.parent, str(store.damage))
+
+
+def _damage(path: Path, note: Note | None) -> str | None:
+    """What is wrong with the database, if anything."""
+    if not path.exists() or _is_a_beginning(path):
+        return None
+    depth = Depth.EVERYTHING if note else Depth.NEWEST if ended_in_order(path) else Depth.PAGES
+    try:
+        return find_damage(path, depth)
+    except DatabaseUnwritableError as error:
+        # One failure of the disk may pass; at the next start it is damage like any other.
+        if note is not None:
+            return str(error)
+        note_damage(path.parent, str(error))
+        raise
+
+
+def _is_a_beginning(path: Path) -> bool:
+    """An empty file is what a cut leaves of a database's making, as long as there was nothing."""
+    log, frames = path.with_name(path.name + "-wal"), path.with_name(FOLDER)
+    is_empty = path.is_file() and not path.stat().st_size
+    return is_empty and not (log.exists() and log.stat().st_size) and not frames.exists()
