@@ -1,4 +1,4 @@
-"""The control socket: how `dcam-ctl` asks a running dcamd to leave the cameras alone for a while.
+"""The control socket: how `dcam-ctl` asks a running dcamd for the cameras, a look, a new config.
 
 A Unix stream socket; each request and each answer is one line of JSON. A pause is held by the
 connection that asked for it: when that closes, however it came to that, the daemon goes on. What
@@ -13,15 +13,16 @@ import contextlib
 import os
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import structlog
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from daemon.errors import HardwareError
+from daemon.errors import DcamError, ExitCode, HardwareError, exit_code_of, lines_of
 from daemon.lock import sole_writer
 from daemon.pause import Pause
 from daemon.run_state import runtime_directory
@@ -38,6 +39,8 @@ PAUSE_LIMIT_S = 3600.0
 """A pause ends after this time even if its holder only hangs; to pause again renews it."""
 PAUSE_TIMEOUT_S = 120.0
 """How long a client waits for the slot in progress to end."""
+MAX_ANSWER_BYTES = 20_000
+MAX_ERROR = 4000
 
 
 class Request(BaseModel):
@@ -45,7 +48,7 @@ class Request(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
-    command: Literal["status", "pause", "resume"]
+    command: Literal["status", "pause", "resume", "capture", "reload"]
     reason: str = Field(default="", max_length=200)
     """Why the daemon is to pause, for the gap's detail."""
 
@@ -58,8 +61,22 @@ class Answer(BaseModel):
     ok: bool
     error: str = ""
     version: str = VERSION
+    exit_code: int = ExitCode.HARDWARE
+    """Of a command that fails with this error."""
     paused: str = ""
     """Why it is paused; empty while it measures."""
+    look: dict[str, Any] | None = None
+    """What a capture saw."""
+
+
+@dataclass(frozen=True, slots=True)
+class Offers:
+    """What else the daemon does when it is asked; called in threads, one at a time."""
+
+    capture: Callable[[], dict[str, Any]]
+    """Take and measure a slot's pairs between two slots."""
+    reload: Callable[[], None]
+    """Read the config anew; raises where it is wrong, and the old one stays."""
 
 
 @contextmanager
@@ -76,7 +93,7 @@ def _address(directory: Path) -> Iterator[str]:
 
 
 @contextmanager
-def control_socket(state: Path, pause: Pause) -> Iterator[None]:
+def control_socket(state: Path, pause: Pause, offers: Offers | None = None) -> Iterator[None]:
     """Answer on the control socket while the block runs, in a thread of its own.
 
     Where no socket can be made the daemon measures all the same; its log says why.
@@ -88,7 +105,7 @@ def control_socket(state: Path, pause: Pause) -> Iterator[None]:
         _log.warning("no_control_socket", directory=str(directory), error=str(error))
         yield
         return
-    server = _Server(pause)
+    server = _Server(pause, offers)
     thread = threading.Thread(target=server.run, args=(listening,), name="control", daemon=True)
     thread.start()
     try:
@@ -117,8 +134,11 @@ def _listen(directory: Path) -> socket.socket:
 class _Server:
     """The connections, on an event loop of their own."""
 
-    def __init__(self, pause: Pause) -> None:
+    def __init__(self, pause: Pause, offers: Offers | None) -> None:
         self._pause = pause
+        self._offers = offers
+        self._busy = ""
+        """What is being done for a client, of that which is done for one at a time."""
         self._started = threading.Event()
         self._idle: dict[object, asyncio.StreamWriter] = {}
         """Connections that hold no pause, the oldest first."""
@@ -185,7 +205,23 @@ class _Server:
             self._idle.pop(holder, None)
         elif request.command == "resume":
             await asyncio.to_thread(self._pause.release, holder)
+        elif request.command != "status":
+            return await self._offered(request.command)
         return Answer(ok=True, paused=self._pause.reason or "")
+
+    async def _offered(self, command: Literal["capture", "reload"]) -> Answer:
+        """Do it in a thread; a crowd that asks for it gets one, and the others are refused."""
+        if self._offers is None or self._busy:
+            return Answer(ok=False, error=f"{self._busy or 'start'} in progress; try again later")
+        self._busy = command
+        try:
+            look = await asyncio.to_thread(getattr(self._offers, command))
+        except Exception as error:  # noqa: BLE001 - it is the client's to know; slots go on
+            code = exit_code_of(error)
+            return Answer(ok=False, error="\n".join(lines_of(error))[:MAX_ERROR], exit_code=code)
+        finally:
+            self._busy = ""
+        return Answer(ok=True, paused=self._pause.reason or "", look=look)
 
 
 # ---------------------------------------------------------------------------------- the client
@@ -208,6 +244,23 @@ def paused_daemon(state: Path, reason: str) -> Iterator[bool]:
             msg = f"dcamd of {state} does not pause: {answer.error}; try again later"
             raise HardwareError(msg)
         yield True
+
+
+def ask_daemon(state: Path, command: Literal["capture", "reload"]) -> Answer | None:
+    """Have the dcamd of a state directory do something; None: none answers.
+
+    Raises HardwareError, and what the daemon said as the error that it was.
+    """
+    connection = _connect(runtime_directory(state))
+    if connection is None:
+        return None
+    with connection:
+        answer = _ask(connection, Request(command=command))
+    if answer.ok:
+        return answer
+    refused = DcamError(f"dcamd: {answer.error}")
+    refused.exit_code = ExitCode(answer.exit_code)
+    raise refused
 
 
 @contextmanager
@@ -244,7 +297,7 @@ def _ask(connection: socket.socket, request: Request) -> Answer:
     try:
         connection.sendall(request.model_dump_json().encode() + b"\n")
         with connection.makefile("rb") as lines:
-            return Answer.model_validate_json(lines.readline(MAX_LINE_BYTES))
+            return Answer.model_validate_json(lines.readline(MAX_ANSWER_BYTES))
     except (OSError, ValidationError) as error:
         msg = f"dcamd does not answer on its control socket ({error}); restart it"
         raise HardwareError(msg) from None

@@ -137,7 +137,7 @@ class SlotRunner:
             self._owe(part, cause, trouble if is_clock else detail)
 
     def _run(self, slot: datetime) -> None:
-        with self._pause.slot() as reason:
+        with self._pause.slot(slot) as reason:
             if reason is None:
                 outcome = run_slot(self._line, slot, self._source)
             else:
@@ -160,7 +160,7 @@ class SlotRunner:
             name = f"{self._line.machine.boot_id[:8]}-{self._line.machine.uptime_s():.0f}"
             archive = undated_archive(self._line, name)
             self._apart = replace(self._line, archive=archive, undated=True)
-        with self._pause.slot() as reason:
+        with self._pause.slot(slot) as reason:
             if reason is None:
                 outcome = run_slot(self._apart, slot, self._source)
             else:

@@ -5,24 +5,25 @@ from __future__ import annotations
 from contextlib import closing
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import click
 
 from core.exposure import Exposure
-from core.results import Measurement
+from core.results import Flag
 from daemon.burst import take_burst
 from daemon.commands.options import Options, common_options, json_option, pass_options
-from daemon.commands.output import print_json, result_fields, say
+from daemon.commands.output import print_json, say
+from daemon.control import ask_daemon
 from daemon.devices import open_clock, open_pair_source
 from daemon.errors import ExitCode
 from daemon.exposure import last_known, loop_of, settle
 from daemon.lock import sole_writer
-from daemon.measuring import ActiveCalibration, active_calibration, image_pair, measure
-from daemon.sequence import in_sequence
+from daemon.look import frame_fields, look_fields, measure_look
+from daemon.measuring import ActiveCalibration, active_calibration
 from daemon.store.database import open_store_readonly
 from daemon.store.errors import DatabaseMissingError
-from daemon.wording import utc_text, value_text
-from drivers.protocols import CapturedFrame, CapturedPair, Role
+from drivers.protocols import CapturedFrame, Role
 
 
 @click.command("capture", epilog="\b\nExample:\n  dcam-ctl capture --json")
@@ -32,10 +33,22 @@ from drivers.protocols import CapturedFrame, CapturedPair, Role
 def command(options: Options, as_json: bool) -> int:
     """Take one slot's pairs now, measure them with the active calibration, and print the result.
 
-    `[schedule] burst` says how many they are; with `[exposure] mode = "auto"` light is settled
-    first, a second a look. Nothing is recorded. The cameras must be free:
-    stop dcamd first. Exit code 1 if the slot gave no value, 4 if no pair could be taken.
+    `[schedule] burst` says how many they are. Nothing is recorded. Where dcamd runs, it takes them
+    itself between two slots, and no slot is delayed. Else, with `[exposure] mode = "auto"`, the
+    light is settled first, a second a look. Exit code 1 if the slot gave no value, 4 if no pair
+    could be taken.
     """
+    answer = ask_daemon(options.state, "capture")
+    look = _look(options) if answer is None or answer.look is None else answer.look
+    if as_json:
+        print_json({"command": "capture", **look})
+    else:
+        say_look(look)
+    return ExitCode.FAILED if look["measurement"]["x_mm"] is None else ExitCode.DONE
+
+
+def _look(options: Options) -> dict[str, Any]:
+    """Take and measure pairs where no dcamd runs."""
     config, state = options.config, options.state
     with sole_writer(state, "dcam-ctl capture"):
         calibration, last_utc, exposures = _known(state)
@@ -47,20 +60,12 @@ def command(options: Options, as_json: bool) -> int:
                 settle(source, clock, loop)
             slot_utc = clock.now_utc().replace(microsecond=0)
             shots = take_burst(source, clock, slot_utc, config.burst_plan())
-    site = config.site()
-    measurement = measure((image_pair(shot.pair) for shot in shots), site, calibration)
-    if calibration is not None:
-        with open_store_readonly(state) as store:
-            measurement = in_sequence(store, calibration, site.quality, slot_utc, measurement)
-    pair = shots[0].pair
-    if as_json:
-        row = result_fields(slot_utc, measurement)
-        fields = {"measurement": row, "pairs": len(shots), **_pair_fields(pair)}
-        print_json({"command": "capture", **fields})
+    if calibration is None:
+        measurement = measure_look(shots, slot_utc, config.site(), None, None)
     else:
-        say(f"{utc_text(slot_utc)}  {value_text(measurement)}")
-        say_details(measurement, pair)
-    return ExitCode.FAILED if measurement.corrected is None else ExitCode.DONE
+        with open_store_readonly(state) as store:
+            measurement = measure_look(shots, slot_utc, config.site(), calibration, store)
+    return look_fields(slot_utc, measurement, shots)
 
 
 def _known(
@@ -79,53 +84,48 @@ def _known(
         return None, None, {}
 
 
-def say_details(measurement: Measurement, pair: CapturedPair) -> None:
-    """Print what lies behind a value: the main camera alone, the rig's motion, the two frames."""
-    if measurement.spread_mm is not None:
-        x_mm, y_mm = measurement.spread_mm
-        say(f"spread       x {x_mm:.3f} mm, y {y_mm:.3f} mm, of {measurement.frames_used} pairs")
-    if measurement.raw is not None:
-        x_mm, y_mm = measurement.raw.mm
-        say(f"raw          x {x_mm:+.3f} mm, y {y_mm:+.3f} mm")
-    if measurement.motion is not None:
-        rx, ry, rz = 1e3 * measurement.motion.rotation_rad
-        tx, ty, tz = measurement.motion.translation_mm
+def say_look(look: dict[str, Any]) -> None:
+    """Print a value and what lies behind it: main camera alone, the rig's motion, the frames."""
+    row, seen = look["measurement"], look["seen"]
+    say(f"{row['slot_utc']}  {_value(row)}")
+    if row["spread_x_mm"] is not None:
+        spread = f"x {row['spread_x_mm']:.3f} mm, y {row['spread_y_mm']:.3f} mm"
+        say(f"spread       {spread}, of {row['frames_used']} pairs")
+    if row["raw_x_mm"] is not None:
+        say(f"raw          x {row['raw_x_mm']:+.3f} mm, y {row['raw_y_mm']:+.3f} mm")
+    if row["rx_rad"] is not None:
+        rx, ry, rz = (1e3 * row[name] for name in ("rx_rad", "ry_rad", "rz_rad"))
+        tx, ty, tz = (row[name] for name in ("tx_mm", "ty_mm", "tz_mm"))
         say(f"rig rotation x {rx:+.4f}, y {ry:+.4f}, z {rz:+.4f} mrad")
         say(f"rig shift    x {tx:+.4f}, y {ty:+.4f}, z {tz:+.4f} mm")
-    seen = measurement.diagnostics
-    say(f"seen         {seen.discs_found} discs, {seen.corners_used} corners")
-    skew = "not measured" if pair.skew_s is None else f"{1e3 * pair.skew_s:+.2f} ms"
+    say(f"seen         {seen['discs']} discs, {seen['corners']} corners")
+    skew = "not measured" if look["skew_s"] is None else f"{1e3 * look['skew_s']:+.2f} ms"
     say(f"skew         {skew}")
-    for name, frame in (("main", pair.main), ("sub", pair.sub)):
-        say(f"{name:<12} {frame_text(frame)}")
+    for name in ("main", "sub"):
+        say(f"{name:<12} {_frame_line(look[name])}")
+
+
+def _value(row: dict[str, Any]) -> str:
+    """A displacement, or why there is none, in a few words; as `wording.value_text`."""
+    why, flag = "+".join(row["reasons"]), Flag(row["flag"])
+    if row["x_mm"] is None:
+        return f"no value ({flag.name.lower()}: {why})"
+    text = ", ".join(
+        f"{axis} {row[f'{axis}_mm']:+.3f} ± {row[f'sigma_{axis}_mm']:.3f} mm" for axis in "xy"
+    )
+    return text if flag is Flag.GOOD else f"{text} (suspect: {why})"
 
 
 def frame_text(frame: CapturedFrame) -> str:
     """A frame's size, light and settings in one line."""
-    height, width = frame.pixels.shape
-    light = float(frame.pixels.max()) / (2**frame.bits - 1)
-    parts = [f"{width}x{height} px, {frame.bits} bits, brightest pixel at {light:.0%}"]
-    for value, unit in (
-        (frame.exposure_us, "us"),
-        (frame.gain_db, "dB"),
-        (frame.temperature_c, "°C"),
-    ):
-        if value is not None:
-            parts.append(f"{value:g} {unit}")
+    return _frame_line(frame_fields(frame))
+
+
+def _frame_line(frame: dict[str, Any]) -> str:
+    light = frame["max_dn"] / (2 ** frame["bits"] - 1)
+    size = f"{frame['width_px']}x{frame['height_px']} px, {frame['bits']} bits"
+    parts = [f"{size}, brightest pixel at {light:.0%}"]
+    for name, unit in (("exposure_us", "us"), ("gain_db", "dB"), ("temperature_c", "°C")):
+        if frame[name] is not None:
+            parts.append(f"{frame[name]:g} {unit}")
     return ", ".join(parts)
-
-
-def _pair_fields(pair: CapturedPair) -> dict[str, object]:
-    def fields(frame: CapturedFrame) -> dict[str, object]:
-        return {
-            "width_px": frame.pixels.shape[1],
-            "height_px": frame.pixels.shape[0],
-            "bits": frame.bits,
-            "mean_dn": float(frame.pixels.mean()),
-            "max_dn": int(frame.pixels.max()),
-            "exposure_us": frame.exposure_us,
-            "gain_db": frame.gain_db,
-            "temperature_c": frame.temperature_c,
-        }
-
-    return {"skew_s": pair.skew_s, "main": fields(pair.main), "sub": fields(pair.sub)}

@@ -35,15 +35,16 @@ def note(text: str) -> None:
 
 def print_json(payload: Mapping[str, Any]) -> None:
     """Print one JSON object with its schema number; times in ISO 8601, never NaN."""
-    document = _plain({"schema": JSON_SCHEMA, **payload})
+    document = plain({"schema": JSON_SCHEMA, **payload})
     print(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Give plain JSON types: times in ISO 8601, None for a number that is none."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, datetime):
         return utc_text(value)
     if isinstance(value, Enum):
