@@ -36,13 +36,14 @@ def service() -> configparser.SectionProxy:
 
 @needs_systemd
 def test_systemd_has_nothing_to_say_against_the_unit(tmp_path: Path) -> None:
-    """The installed program is not here: a stand-in takes its place, nothing else is changed."""
-    program = service()["ExecStart"]
-    stand_in = tmp_path / "dcamd"
-    stand_in.write_text("#!/bin/sh\n")
-    stand_in.chmod(0o755)
+    """The installed programs are not here: stand-ins take their places, nothing else is changed."""
+    installed = Path(service()["ExecStart"]).parent
+    for program in (service()["ExecStart"], service()["ExecReload"].split()[0]):
+        stand_in = tmp_path / Path(program).name
+        stand_in.write_text("#!/bin/sh\n")
+        stand_in.chmod(0o755)
     unit = tmp_path / "dcamd.service"
-    unit.write_text(UNIT.read_text().replace(program, str(stand_in)))
+    unit.write_text(UNIT.read_text().replace(f"{installed}/", f"{tmp_path}/"))
 
     result = subprocess.run(
         ["systemd-analyze", "verify", str(unit)], capture_output=True, text=True, check=False
