@@ -25,6 +25,7 @@ from daemon.config_site import (
     SiteSection,
     TargetsSection,
 )
+from daemon.disk.rules import Rules
 from drivers.protocols import HeadSettings, LineOut, Role, TriggerIn
 from drivers.sim.settings import (
     AsBuilt,
@@ -172,6 +173,21 @@ class StorageSection(Section):
     directory: Directory = DEFAULT_STATE_DIRECTORY
 
 
+class RetentionSection(Section):
+    """`[retention]`: how long frames are kept, and what room is left on the disk."""
+
+    every_slot_days: int = Field(default=30, ge=1, le=36_500)
+    hourly_days: int = Field(default=365, ge=1, le=36_500)
+    frames_days: int | None = Field(default=None, ge=1, le=36_500)
+    frames_max_gb: float | None = Field(default=None, gt=0)
+    min_free_gb: float = Field(default=5.0, ge=0)
+    reserve_mb: int = Field(default=64, ge=0, le=10_000)
+
+    def rules(self) -> Rules:
+        """Convert to the daemon's type."""
+        return Rules(**self.model_dump())
+
+
 class LogSection(Section):
     """`[log]`."""
 
@@ -259,6 +275,7 @@ class Config(Section):
     pan_tilt: PanTiltSection = PanTiltSection()
     quality: QualitySection = QualitySection()
     storage: StorageSection = StorageSection()
+    retention: RetentionSection = RetentionSection()
     log: LogSection = LogSection()
     replay: ReplaySection = ReplaySection()
     simulation: SimulationSection = SimulationSection()

@@ -12,6 +12,7 @@ import click
 from daemon.commands.options import Options, common_options, pass_options
 from daemon.config import Installation
 from daemon.devices import require_backend
+from daemon.disk.guard import relieve
 from daemon.errors import run
 from daemon.lock import sole_writer
 from daemon.log import configure_log
@@ -63,6 +64,7 @@ def serve(installation: Installation, max_slots: int | None = None) -> None:
     state = installation.state_directory
     orders: Orders[Station] = Orders()
     with given_by_signals(orders), sole_writer(state):
+        relieve(state)
         reporter = Reporter(Notifier.from_environment(), runtime_directory(state))
         reporter.opening(database_bytes(state))
         with (

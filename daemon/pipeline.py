@@ -15,6 +15,7 @@ import structlog
 from core.results import Measurement
 from core.site import Site
 from daemon.burst import BurstPlan, Shot, take_burst
+from daemon.disk.guard import DiskGuard
 from daemon.exposure import ExposureLoop
 from daemon.machine import Machine, this_machine
 from daemon.measuring import (
@@ -65,6 +66,7 @@ class Pipeline:
     store: Store
     archive: FrameArchive
     clock: Clock
+    disk: DiskGuard
     burst: BurstPlan = field(default_factory=BurstPlan)
     exposure: ExposureLoop | None = None
     """What follows the light from slot to slot; None where exposure is fixed."""
@@ -96,10 +98,8 @@ def run_slot(
         record = _measure_captured(line, slot_utc, shots, stored, calibration)
         record = replace(record, clock_synchronised=synchronised)
         _follow_light(line, source, shots, record.measurement, calibration)
-        if line.undated:
-            line.store.add_undated(record)
-        else:
-            line.store.add_measurement(record)
+        add = line.store.add_undated if line.undated else line.store.add_measurement
+        line.disk.with_room(lambda: add(record))
     except Exception as error:  # noqa: BLE001 - as above; frames that were kept are measured late
         return _missed(slot_utc, error, GapCause.STORAGE_FAILED)
     _acknowledge(line, record, started_s)
@@ -210,17 +210,20 @@ def _follow_light(
 def _keep_frames(line: Pipeline, slot_utc: datetime, shots: Sequence[Shot]) -> StoredPair | None:
     """Put the frames on the disk and give the first pair's places.
 
-    Without space for all of them the measurement goes on alone, and its row names none.
+    Where there is no room for them the measurement goes on alone, and its row names none; of a
+    burst those stay that found room.
     """
+    first: StoredPair | None = None
     try:
-        stored = [
-            line.archive.store(slot_utc, shot.pair, shot.captured_utc, shot.number)
-            for shot in shots
-        ]
+        for shot in shots:
+            line.disk.require_room()
+            stored = line.archive.store(slot_utc, shot.pair, shot.captured_utc, shot.number)
+            first = first or stored
     except StoreError as error:
-        _log.error("frames_not_kept", slot=slot_text(slot_utc), error=str(error))
-        return None
-    return stored[0]
+        line.disk.frames_refused(slot_utc, error)
+        return first
+    line.disk.frames_kept(slot_utc)
+    return first
 
 
 def _acknowledge(line: Pipeline, record: MeasurementRecord, started_s: float) -> None:

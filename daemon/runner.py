@@ -96,6 +96,7 @@ class SlotRunner:
                 self._run_undated(slot)
             else:
                 self._run(slot)
+            self._tend_disk(slot)
             done += 1
         self._settle_debts()
         self._require_sound()
@@ -123,6 +124,14 @@ class SlotRunner:
             else:
                 self._owe(missed, GapCause.OVERRUN, "the slot before took too long")
         return slot
+
+    def _tend_disk(self, slot: datetime) -> None:
+        """Make room between slots, as long as that delays none."""
+        if self._is_behind():
+            return
+        now_utc = self._line.clock.now_utc()
+        next_utc = self._schedule.next_slot(now_utc, self._last)
+        self._line.disk.tend(slot, (next_utc - now_utc).total_seconds())
 
     def _owe_to_clock(self, missed: MissedSlots) -> None:
         """The clock was wrong since this boot; what was missed before it has a cause of its own."""

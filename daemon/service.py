@@ -14,6 +14,7 @@ from daemon.burst import take_burst
 from daemon.config import Installation, load_config
 from daemon.control import Offers, control_socket
 from daemon.devices import open_clock, open_pair_source, require_backend
+from daemon.disk.guard import DiskGuard
 from daemon.errors import ConfigError, WorkFailedError
 from daemon.exposure import last_known, loop_of
 from daemon.health import has_stepped_clock
@@ -42,6 +43,8 @@ _log = structlog.get_logger("dcam.daemon")
 DAY = timedelta(days=1)
 LOOK_PATIENCE_S = 100.0
 """How long a look waits for such a time; less than its client waits for the answer."""
+STEPS_AT_START = 100
+"""Of removing frames from a full disk, before the first row."""
 RELOADED = "the config was read anew"
 
 
@@ -80,6 +83,7 @@ class Service:
         with ExitStack() as opened:
             opened.callback(self._close_cameras)
             self._reporter.recovering()
+            self._station.line.disk.make_room(STEPS_AT_START)
             last_utc = recover(self._station.line, self._station.schedule)
             store.add_event(clock.now_utc(), "started", f"version {VERSION}")
             name = self._station.installation.config.name
@@ -105,13 +109,14 @@ class Service:
 
     def _build(self, installation: Installation) -> Station:
         """Make all of it; cameras are opened later. Raises ConfigError, DriverError."""
-        config = installation.config
+        config, archive = installation.config, FrameArchive(installation.state_directory)
         line = Pipeline(
             config.site(),
             config.config_hash(),
             self._store,
-            FrameArchive(installation.state_directory),
+            archive,
             self._clock,
+            DiskGuard(self._store, archive, config.retention.rules(), self._clock),
             config.burst_plan(),
             exposure=loop_of(config),
             machine=simulated_machine(self._clock) if has_stepped_clock(config) else this_machine(),

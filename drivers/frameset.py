@@ -289,11 +289,15 @@ def write_table(directory: Path, rows: Iterable[FrameSetRow]) -> None:
     rows = list(rows)
     lines = [format_header(rows[0].extra if rows else ()), *map(format_row, rows)]
     temporary = directory / f".{TABLE}.tmp"
-    with temporary.open("w", encoding="utf-8", newline="") as file:
-        file.write("\n".join(lines) + "\n")
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(directory / TABLE)
+    try:
+        with temporary.open("w", encoding="utf-8", newline="") as file:
+            file.write("\n".join(lines) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(directory / TABLE)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
     descriptor = os.open(directory, os.O_RDONLY)
     try:
         os.fsync(descriptor)

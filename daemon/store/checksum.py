@@ -37,7 +37,7 @@ def require_intact(table: str, values: Mapping[str, object], digest: object) -> 
 
 def named(values: Mapping[str, object]) -> str:
     """A row by the name that a user knows it by."""
-    for name in ("slot_utc", "start_utc", "name", "id"):
+    for name in ("slot_utc", "start_utc", "day", "name", "id"):
         if name in values:
             return f"{name} {values[name]}"
     return "unnamed"

@@ -18,9 +18,13 @@ from typing import Self, cast
 from sqlalchemy import Engine, func, or_, select
 from sqlalchemy.orm import Session
 
+from daemon.store import frame_days, undated
 from daemon.store import gaps as gap_runs
+<<<<<<< HEAD
 from daemon.store import undated
 from daemon.store.accounting import fates
+=======
+>>>>>>> 9973b4b (Thin the frame archive by age and by size; hold a reserve for rows on a full disk)
 from daemon.store.convert import (
     calibration_record,
     calibration_row,
@@ -47,6 +51,7 @@ from daemon.store.records import (
     CalibrationRecord,
     Coverage,
     EventRecord,
+    FrameDay,
     GapCause,
     GapRecord,
     Mark,
@@ -414,6 +419,35 @@ class Store:
         with self._read() as session:
             rows = session.scalars(select(CalibrationRow).order_by(CalibrationRow.id))
             return [calibration_record(row) for row in rows]
+
+    # Frames kept and removed
+
+    def frame_days(self) -> list[FrameDay]:
+        """What the frame archive holds of each day that has been counted, in order."""
+        with self._read() as session:
+            return frame_days.read_all(session)
+
+    def put_frame_day(self, record: FrameDay) -> None:
+        """Write or replace what is known of a day's frames."""
+        with self._write() as session:
+            frame_days.put(session, record)
+
+    def frames_removed(self, slot_utc: datetime) -> bool:
+        """Whether the frames that a slot's row names were removed on purpose, by retention.
+
+        Those that are missing otherwise are lost. Rows are never changed: they go on naming them.
+        """
+        with self._read() as session:
+            found = frame_days.read(session, slot_utc.astimezone(UTC).date())
+            return found is not None and found.has_removed(slot_utc)
+
+    def reasons(self, since: datetime, until: datetime) -> dict[datetime, str]:
+        """The slots with a row, since <= slot < until, in order, with their reasons as stored."""
+        row, (since, until) = MeasurementRow, map(next_second, (since, until))
+        query = select(row.slot_utc, row.reasons).where(row.slot_utc >= since, row.slot_utc < until)
+        with self._read() as session:
+            found = session.execute(query.order_by(row.slot_utc))
+            return {one.slot_utc: one.reasons for one in found}
 
     # Events and marks
 

@@ -93,6 +93,19 @@ def strike(directory: Path, slot_utc: datetime) -> None:
         write_table(directory, kept)
 
 
+def prune(directory: Path) -> int:
+    """Strike the lines of which no image is there any more, durably; give how many lines are left.
+
+    Raises OSError.
+    """
+    names = {path.name for path in directory.iterdir()}
+    rows = _readable_rows(directory)
+    listed = [row for row in rows if row.main in names or row.sub in names]
+    if len(listed) < len(rows) and listed:
+        write_table(directory, listed)
+    return len(listed)
+
+
 def cut_torn_end(path: Path) -> None:
     """Cut what a power cut left of a line after the last complete one. Raises OSError."""
     with path.open("r+b") as file:

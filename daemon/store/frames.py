@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -92,9 +92,13 @@ class FrameArchive:
         with translated(main.parent):
             make_directory_durable(main.parent)
             write_durable(main, main_data)
-            write_durable(sub, sub_data)
-            row = FrameSetRow(slot_utc, "measure", main.name, sub.name, extra=known)
-            enter(main.parent, row)
+            try:
+                write_durable(sub, sub_data)
+                row = FrameSetRow(slot_utc, "measure", main.name, sub.name, extra=known)
+                enter(main.parent, row)
+            except OSError:
+                _take_back(main, sub)
+                raise
         return stored
 
     def load(self, slot_utc: datetime, number: int = 1) -> ArchivedPair:
@@ -162,6 +166,16 @@ class FrameArchive:
                 entered += mend(day)
         return entered
 
+    def days(self) -> list[date]:
+        """The days that have a directory, in order. Raises ArchiveError."""
+        with translated(self.directory):
+            names = (day.relative_to(self.directory).parts for day in self._days(EPOCH))
+            return [date(int(year), int(month), int(day)) for year, month, day in names]
+
+    def day_directory(self, day: date) -> Path:
+        """Where a day's pairs lie, or would."""
+        return self.directory / f"{day:%Y/%m/%d}"
+
     def place(self, slot_utc: datetime, number: int) -> StoredPair:
         """Where a pair lies, or would."""
         main, sub = image_names(slot_utc.astimezone(UTC), number)
@@ -176,6 +190,13 @@ class FrameArchive:
             name = day.relative_to(self.directory).as_posix()
             if first <= name <= end and _is_date(name):
                 yield day
+
+
+def _take_back(*paths: Path) -> None:
+    """Remove what was written of a pair that found no room: it would hold some for nothing."""
+    for path in paths:
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
 
 
 def _extra(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
@@ -142,6 +142,46 @@ class CalibrationRecord:
         from core.calibration import Calibration  # loads all of the numerics
 
         return Calibration.from_dict(dict(self.content))
+
+
+class Thinning(StrEnum):
+    """How much of a day's frames is kept: a closed list, from all to nothing."""
+
+    EVERY_SLOT = "every_slot"
+    HOURLY = "hourly"
+    DAILY = "daily"
+    EVENTS = "events"
+    """Only what is always kept."""
+    NOTHING = "nothing"
+
+    @property
+    def next(self) -> Thinning:
+        """The next step; after the last one it stays."""
+        steps = list(Thinning)
+        return steps[min(steps.index(self) + 1, len(steps) - 1)]
+
+
+@dataclass(frozen=True, slots=True)
+class FrameDay:
+    """What the frame archive holds of a day, and what has been removed of it on purpose."""
+
+    day: date
+    level: Thinning = Thinning.EVERY_SLOT
+    until_utc: datetime | None = None
+    """The last slot that the level has been applied to; None as long as nothing was removed."""
+    kept: frozenset[datetime] = frozenset()
+    """The slots up to `until_utc` whose frames were there and stay."""
+    removed: int = 0
+    """Slots whose frames have been removed, in all."""
+    bytes: int = 0
+    """What the day's directory held when it was last counted."""
+    finished: bool = True
+    """False from before the first file is removed until the last one is."""
+
+    def has_removed(self, slot_utc: datetime) -> bool:
+        """Whether the frames of a slot of this day are missing because they were removed."""
+        until_utc = self.until_utc
+        return until_utc is not None and slot_utc <= until_utc and slot_utc not in self.kept
 
 
 @dataclass(frozen=True, slots=True)

@@ -252,6 +252,22 @@ class EventRow(Base):
     detail: Mapped[str]
 
 
+class FrameDayRow(Base):
+    """What the frame archive holds of one day, UTC."""
+
+    __tablename__ = "frame_day"
+
+    day: Mapped[str] = mapped_column(primary_key=True)
+    """As `2026-03-01`."""
+    level: Mapped[str]
+    until_utc: Mapped[datetime | None]
+    kept: Mapped[str]
+    """The slots up to `until_utc` whose frames stay: `000000 010000 ...`."""
+    removed: Mapped[int]
+    bytes: Mapped[int]
+    finished: Mapped[bool]
+
+
 class MarkRow(Base):
     """Single values that survive a restart: heartbeat, clean stop, boot id."""
 

@@ -17,6 +17,8 @@ from core.site import (
     RigPrior,
     Site,
 )
+from daemon.disk.guard import DiskGuard
+from daemon.disk.rules import Rules
 from daemon.machine import Machine
 from daemon.notify import Notifier
 from daemon.pipeline import Pipeline
@@ -31,6 +33,8 @@ from drivers.protocols import CapturedFrame, CapturedPair
 from tests.daemon.times import minute_of
 
 START = datetime(2026, 3, 1, 11, 59, 30, tzinfo=UTC)
+SMALL = Rules(min_free_gb=0.0, reserve_mb=0)
+"""Retention that a machine which is short of space does not bring into a test."""
 SIZE = (48, 64)
 CAMERA = CameraGeometry(width_px=64, height_px=48, pixel_pitch_um=5.86, focal_length_mm=6.0)
 SITE = Site(
@@ -77,8 +81,9 @@ class ToldSource:
 class Station:
     """A site as one process after another would run it: each `run` is a daemon's life."""
 
-    def __init__(self, state: Path, period_s: int = 60) -> None:
+    def __init__(self, state: Path, period_s: int = 60, rules: Rules = SMALL) -> None:
         self.state = state
+        self.rules = rules
         self.clock = SteppedClock(START)
         self.schedule = Schedule(period_s)
         self.store = open_store(state)
@@ -95,7 +100,8 @@ class Station:
         machine = Machine(
             boot_id, lambda: self.clock.monotonic_s() - booted_s, lambda: self.synchronised
         )
-        return Pipeline(SITE, "hash", self.store, self.archive, self.clock, machine=machine)
+        disk = DiskGuard(self.store, self.archive, self.rules, self.clock)
+        return Pipeline(SITE, "hash", self.store, self.archive, self.clock, disk, machine=machine)
 
     def start(self, boot_id: str = "boot-1") -> SlotRunner:
         self.line = self.pipeline(boot_id)
