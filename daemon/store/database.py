@@ -20,11 +20,7 @@ from sqlalchemy.orm import Session
 
 from daemon.store import frame_days, undated
 from daemon.store import gaps as gap_runs
-<<<<<<< HEAD
-from daemon.store import undated
 from daemon.store.accounting import fates
-=======
->>>>>>> 9973b4b (Thin the frame archive by age and by size; hold a reserve for rows on a full disk)
 from daemon.store.convert import (
     calibration_record,
     calibration_row,

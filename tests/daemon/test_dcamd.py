@@ -202,11 +202,11 @@ def test_killed_and_started_again_nothing_acknowledged_is_lost(site: Site) -> No
         assert store.measured_slots() >= site.acknowledged(result.stderr)
 
 
-def test_full_disk_never_ends_the_daemon(site: Site) -> None:
-    """A disk of 1.5 MB, so real ENOSPC, of frames and of rows; all 30 slots are gone through."""
+def run_on_small_disk(site: Site, slots: int) -> subprocess.CompletedProcess[str]:
+    """On a disk of 1.5 MB, so real ENOSPC."""
     site.state.mkdir()
     result = site.run(
-        *("--max-slots", "30"),
+        *("--max-slots", str(slots)),
         before=(
             *("unshare", "-Urm", "sh", "-c"),
             'mount -t tmpfs -o size=1500k tmpfs "$0" || exit 77; exec "$@"',
@@ -215,12 +215,27 @@ def test_full_disk_never_ends_the_daemon(site: Site) -> None:
     )
     if result.returncode == 77 or "unshare" in result.stderr:
         pytest.skip(f"no mount without root here: {result.stderr.strip()}")
+    return result
+
+
+def test_full_disk_never_ends_the_daemon(site: Site) -> None:
+    """With nothing held back rows find no room either; all 30 slots are gone through."""
+    site.configure("[retention]\nreserve_mb = 0\n")
+    result = run_on_small_disk(site, 30)
     told = re.findall(r"event=slot_(done|missed) slot=(\S+)(?: cause=(\w+))?", result.stderr)
     assert len({slot for _, slot, _ in told}) == 30
     assert {cause for event, _, cause in told if event == "missed"} == {"disk_full"}
-    assert "event=frames_not_kept" in result.stderr
+    assert result.stderr.count("event=frames_not_kept") == 1
     assert result.returncode == 5
     assert result.stderr.splitlines()[-1].startswith("dcamd: error: ")
+
+
+def test_small_disk_costs_the_frames_and_no_row(site: Site) -> None:
+    """As long as what rows need is not free, no frame is kept; it is told once."""
+    result = run_on_small_disk(site, 30)
+    assert result.returncode == 0, result.stderr
+    assert len(site.acknowledged(result.stderr)) == 30
+    assert result.stderr.count("event=frames_not_kept") == 1
 
 
 STEPS = {
