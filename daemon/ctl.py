@@ -31,6 +31,7 @@ COMMANDS = {
     "report": "Write the record of a span as one HTML file.",
     "backup": "Copy the database while the daemon runs.",
     "redate": "Put right the times of what was taken under a wrong clock.",
+    "verify": "Read everything that was recorded, and check it.",
     "reprocess": "Measure kept frames or a frame set again.",
     "simulate": "A simulated pan-tilt head on a serial port.",
     "demo": "The whole system on a simulated rig, against the known truth.",

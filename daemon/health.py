@@ -16,6 +16,7 @@ from daemon.config import Config
 from daemon.lock import LOCK_NAME
 from daemon.machine import read_boot_id, uptime_s
 from daemon.run_state import RunState, is_alive, read_run_state, runtime_directory
+from daemon.store.damage_note import databases_set_aside, read_note
 from daemon.store.overview import ActiveCalibrationSummary, Overview, open_overview
 from daemon.store.records import (
     BELIEVED,
@@ -85,6 +86,10 @@ class Facts:
     """Of 30 days, in order."""
     daemon: Daemon
     disk: Disk
+    damage_noted: str | None
+    """What dcamd, or a verification, met of damage in the database; until the next start."""
+    set_aside: tuple[str, ...]
+    """Damaged databases that still lie in the state directory, oldest first."""
     frames_not_kept_24h: int
     """Rows of a captured pair that could not be stored."""
     simulated_clock: bool
@@ -101,6 +106,7 @@ def look(config: Config, state: Path, now_utc: datetime) -> Facts:
         accounted, last = overview.accounted(), overview.last_row()
         calibration = overview.calibration()
         misfit, slipped_utc = _continuity(overview, last, calibration)
+        note = read_note(state)
         return Facts(
             site=config.name,
             now_utc=now_utc,
@@ -117,6 +123,8 @@ def look(config: Config, state: Path, now_utc: datetime) -> Facts:
             gaps=tuple(overview.gaps(now_utc - MONTH, now_utc)),
             daemon=_daemon(overview, state, now_utc),
             disk=_disk(state, last, config.schedule.period_s),
+            damage_noted=note.why if note else None,
+            set_aside=tuple(path.name for path in databases_set_aside(state)),
             frames_not_kept_24h=overview.rows_without_frames(now_utc - DAY, now_utc),
             simulated_clock=simulated,
             clock_synchronised=None if simulated else clock_is_synchronised(),

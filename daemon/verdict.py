@@ -63,6 +63,7 @@ def judge(facts: Facts) -> list[Item]:
         _coverage("coverage 30 d", facts.coverage_30d),
         _gaps(facts),
         _disk(facts.disk),
+        _database(facts),
         _frames(facts),
         _clock(facts),
     ]
@@ -228,6 +229,20 @@ def _disk(disk: Disk) -> Item:
     if low or disk.free_bytes < LOW_DISK_BYTES:
         return Item("disk", Level.WARNING, f"{text}: free some space")
     return Item("disk", Level.OK, text)
+
+
+def _database(facts: Facts) -> Item:
+    """A database that was set aside is told until somebody has looked at it and moved it away."""
+    if facts.damage_noted is not None:
+        text = f"{facts.damage_noted}; restart dcamd, it saves what can be read"
+        return Item("database", Level.CRITICAL, text)
+    if facts.set_aside:
+        text = (
+            f"was damaged; {facts.set_aside[-1]} is set aside, what could be read was saved: see "
+            "dcam-ctl gaps, then move that file elsewhere"
+        )
+        return Item("database", Level.CRITICAL, text)
+    return Item("database", Level.OK, "no damage met")
 
 
 def _frames(facts: Facts) -> Item:

@@ -108,6 +108,10 @@ class Steps:
             self._progress.update(self._task, description=what)
         self._progress.advance(self._task)
 
+    def begin(self, what: str) -> None:
+        """Another piece of work begins, of a size that is not known yet."""
+        self._progress.reset(self._task, description=what)
+
     def at(self, done: int, total: int) -> None:
         """So many of so many are done: for work whose size shows on the way."""
         self._progress.update(self._task, completed=done, total=total)

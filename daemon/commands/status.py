@@ -112,6 +112,7 @@ def status_fields(facts: Facts, items: list[Item]) -> dict[str, object]:
         "gaps": [gap_fields(gap) for gap in facts.gaps],
         "daemon": asdict(facts.daemon),
         "disk": asdict(facts.disk),
+        "databases_set_aside": facts.set_aside,
         "frames_not_kept_24h": facts.frames_not_kept_24h,
         "clock_synchronised": facts.clock_synchronised,
         "undated": facts.undated,

@@ -9,7 +9,7 @@ import json
 import os
 import sqlite3
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, suppress
 from enum import IntEnum
 from pathlib import Path
@@ -117,7 +117,7 @@ def _look(path: Path, depth: Depth) -> str | None:
             return "the log beside it is that of another database"
     try:
         with said_plainly(path), closing(connect_readonly(path)) as connection:
-            connection.text_factory = _any_text
+            connection.text_factory = any_text
             return next(_findings(connection, path, depth), None)
     except DatabaseDamagedError as error:
         return str(error.__cause__)
@@ -204,11 +204,16 @@ def program_tables(connection: sqlite3.Connection) -> list[str]:
     return [name for name in Base.metadata.tables if name in found]
 
 
-def wrong_rows(connection: sqlite3.Connection, table: str, after: int = 0) -> Iterator[str]:
+def wrong_rows(
+    connection: sqlite3.Connection,
+    table: str,
+    after: int = 0,
+    tell: Callable[[int], None] = lambda _count: None,
+) -> Iterator[str]:
     """Read a table's rows, from a rowid on, in small steps; name those that are not as written.
 
-    A table of a version without checksums has no wrong rows. Raises sqlite3.Error where it cannot
-    be read.
+    `tell` hears the number of each step's rows. A table of a version without checksums has no
+    wrong rows. Raises sqlite3.Error where it cannot be read.
     """
     cursor = connection.execute(f"SELECT rowid, * FROM {table} LIMIT 0")  # noqa: S608 - our names
     names = [column[0] for column in cursor.description][1:]
@@ -221,9 +226,10 @@ def wrong_rows(connection: sqlite3.Connection, table: str, after: int = 0) -> It
             if row_digest(table, row) != row[DIGEST]:
                 yield f"a row of {table}, {named(row)}, is not what was written"
         after = rows[-1][0]
+        tell(len(rows))
 
 
-def _any_text(content: bytes) -> str:
+def any_text(content: bytes) -> str:
     """Text that may be damaged: as it is no UTF-8, its row's digest will not fit."""
     return content.decode(errors="surrogateescape")
 

@@ -1,0 +1,131 @@
+"""`dcam-ctl verify`: everything that was recorded, read and checked."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from datetime import datetime
+
+import click
+
+from daemon.archive_check import ArchiveCheck
+from daemon.commands.options import Options, common_options, json_option, pass_options, utc_time
+from daemon.commands.output import Steps, note, print_json, progress, say
+from daemon.errors import DcamError, ExitCode, lines_of
+from daemon.store.accounting import Era, read_eras
+from daemon.store.damage_note import databases_set_aside, note_damage
+from daemon.store.database import Store, open_store_readonly
+from daemon.store.errors import DatabaseDamagedError
+from daemon.store.records import Mark
+from daemon.store.verification import (
+    SALVAGE,
+    Counted,
+    Finding,
+    page_findings,
+    reference_findings,
+    row_findings,
+    slot_findings,
+)
+
+_LOWEST_PRIORITY = 19
+
+
+@click.command("verify", epilog="\b\nExample:\n  dcam-ctl verify --since 30d")
+@click.option(
+    "--since",
+    callback=utc_time,
+    metavar="TIME",
+    help="Slots and frames from this time on, UTC: 2026-03-01, 24h, 30d.",
+)
+@json_option
+@common_options
+@pass_options
+def command(options: Options, since: datetime | None, *, as_json: bool) -> int:
+    """Read everything: each row and frame against its checksum, and each slot exactly once.
+
+    Looks at the database's pages, every row, the calibrations, the slots since the first (each has
+    one row or lies in one gap), the frames that rows name and those without a row, and databases
+    set aside. Changes nothing and may run beside dcamd, at the lowest priority; frames take about
+    as long as copying them.
+    Exit code 0 when all is well, 1 with findings.
+    """
+    os.nice(_LOWEST_PRIORITY)
+    counted = Counted()
+    with open_store_readonly(options.state) as store, progress(1, "reading") as steps:
+        findings = list(_findings(options, store, since, steps, counted))
+    _have_it_looked_at(options, findings)
+    if as_json:
+        print_json(
+            {
+                "command": "verify",
+                **asdict(counted),
+                "findings": [asdict(finding) for finding in findings],
+            }
+        )
+    else:
+        for finding in findings:
+            say(f"{finding.what}: {finding.where}: {finding.text}; {finding.todo}")
+        verdict = f"{len(findings)} finding(s)" if findings else "all well"
+        say(f"{verdict}: {counted.rows} rows, {counted.slots} slots, {counted.images} images read")
+    return ExitCode.FAILED if findings else ExitCode.DONE
+
+
+def _findings(
+    options: Options, store: Store, since: datetime | None, steps: Steps, counted: Counted
+) -> Iterator[Finding]:
+    """Look at one thing after the other, each with its own progress."""
+
+    def slots() -> Iterator[Finding]:
+        return slot_findings(store.path, _eras(options, store), since, counted, steps.at)
+
+    def frames() -> Iterator[Finding]:
+        accounted = store.accounted()
+        if accounted is not None:
+            look = ArchiveCheck(store.path, lambda _slot: False, accounted[1], counted)
+            yield from look.findings(since, steps.at)
+
+    looks: tuple[tuple[str, Callable[[], Iterator[Finding]]], ...] = (
+        ("pages", lambda: page_findings(store.path)),
+        ("rows", lambda: row_findings(store.path, since, counted, steps.at)),
+        ("calibrations", lambda: reference_findings(store.path)),
+        ("slots", slots),
+        ("frames, day by day", frames),
+    )
+    for what, look in looks:
+        steps.begin(what)
+        try:
+            yield from look()
+        except DatabaseDamagedError as error:
+            yield Finding("database", store.path.name, str(error), SALVAGE, is_damage=True)
+    for path in databases_set_aside(options.state):
+        text = "a database that was damaged; what could be read of it was saved"
+        yield Finding("set aside", path.name, text, "look at it, then move it elsewhere")
+
+
+def _eras(options: Options, store: Store) -> list[Era]:
+    """The site's schedules: as dcamd noted them, else that of the config."""
+    eras = read_eras(store.get_mark(Mark.SCHEDULES))
+    if not eras:
+        try:
+            schedule = options.config.schedule
+        except DcamError as error:
+            why = "; ".join(lines_of(error))
+            note(f"slots are not looked at: dcamd noted no schedule yet, and {why}")
+            return []
+        eras = [Era(None, schedule.period_s, schedule.offset_s)]
+    return eras
+
+
+def _have_it_looked_at(options: Options, findings: list[Finding]) -> None:
+    """Have the next start of dcamd look at everything, or it might not meet what was met here."""
+    damage = next((finding for finding in findings if finding.is_damage), None)
+    if damage is None:
+        return
+    try:
+        note_damage(options.state, damage.text)
+    except OSError as error:
+        note(
+            f"{options.state}: cannot be written ({error.strerror}): run verify as the user of "
+            "dcamd, then its next start looks at everything"
+        )
