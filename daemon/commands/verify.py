@@ -9,7 +9,7 @@ from datetime import datetime
 
 import click
 
-from daemon.archive_check import ArchiveCheck
+from daemon.archive_check import ArchiveCheck, Removed
 from daemon.commands.options import Options, common_options, json_option, pass_options, utc_time
 from daemon.commands.output import Steps, note, print_json, progress, say
 from daemon.errors import DcamError, ExitCode, lines_of
@@ -82,7 +82,7 @@ def _findings(
     def frames() -> Iterator[Finding]:
         accounted = store.accounted()
         if accounted is not None:
-            look = ArchiveCheck(store.path, lambda _slot: False, accounted[1], counted)
+            look = ArchiveCheck(store.path, _removed(store), accounted[1], counted)
             yield from look.findings(since, steps.at)
 
     looks: tuple[tuple[str, Callable[[], Iterator[Finding]]], ...] = (
@@ -101,6 +101,19 @@ def _findings(
     for path in databases_set_aside(options.state):
         text = "a database that was damaged; what could be read of it was saved"
         yield Finding("set aside", path.name, text, "look at it, then move it elsewhere")
+
+
+def _removed(store: Store) -> Removed:
+    """Tell slots whose frames were removed on purpose; retention may go on meanwhile."""
+    ledger = {known.day: known for known in store.frame_days()}
+
+    def removed(slot_utc: datetime) -> bool:
+        known = ledger.get(slot_utc.date())
+        if known is not None and known.has_removed(slot_utc):
+            return True
+        return store.frames_removed(slot_utc)
+
+    return removed
 
 
 def _eras(options: Options, store: Store) -> list[Era]:

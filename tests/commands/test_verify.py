@@ -14,7 +14,7 @@ from daemon.holes import note_schedule
 from daemon.schedule import Schedule
 from daemon.store.database import open_store
 from daemon.store.frames import FrameArchive
-from daemon.store.records import GapCause, MeasurementRecord
+from daemon.store.records import FrameDay, GapCause, MeasurementRecord, Thinning
 from tests.commands.conftest import Ctl, Ran
 from tests.store.examples import BAD, PERIOD_S, START, pair, record, slot
 
@@ -224,6 +224,17 @@ def test_a_database_set_aside_is_critical_until_it_is_moved_away(
         levels.append(items["database"])
         aside.unlink(missing_ok=True)
     assert levels == ["critical", "ok"]
+
+
+def test_frames_that_retention_removed_are_told_apart_from_lost_ones(site: Site) -> None:
+    removed("000100_main.png", "000100_sub.png", "000800_main.png")(site)
+    day = FrameDay(START.date(), Thinning.HOURLY, until_utc=slot(2), kept=frozenset({slot(2)}))
+    with open_store(site.state) as store:
+        store.put_frame_day(day)
+    told = json.loads(site.verify("--json").out)
+    assert told["slots_with_frames_removed"] == 1
+    (found,) = told["findings"]
+    assert found["where"] == f"{DAY}/000800_main.png"
 
 
 def test_since_leaves_out_what_is_older(site: Site) -> None:
