@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -14,7 +14,7 @@ from daemon.measuring import ActiveCalibration, image_pair, measure
 from daemon.schedule import Schedule
 from daemon.sequence import in_sequence
 from daemon.store.database import Store
-from drivers.protocols import CapturedFrame
+from drivers.protocols import CapturedFrame, CapturedPair
 
 ROOM_S = 60.0
 """A look needs as much time before the next slot, or half a period: cameras that hang take 30 s."""
@@ -60,12 +60,19 @@ def look_fields(
             "measurement": result_fields(slot_utc, measurement),
             "pairs": len(shots),
             "seen": {"discs": seen.discs_found, "corners": seen.corners_used},
-            "skew_s": pair.skew_s,
-            "main": frame_fields(pair.main),
-            "sub": frame_fields(pair.sub),
+            **pair_fields(pair),
         }
     )
     return fields
+
+
+def pair_fields(pair: CapturedPair) -> dict[str, Any]:
+    """What is told of a pair that is not measured."""
+    return {
+        "skew_s": pair.skew_s,
+        "main": frame_fields(pair.main),
+        "sub": frame_fields(pair.sub),
+    }
 
 
 def frame_fields(frame: CapturedFrame) -> dict[str, Any]:
@@ -80,3 +87,14 @@ def frame_fields(frame: CapturedFrame) -> dict[str, Any]:
         "gain_db": frame.gain_db,
         "temperature_c": frame.temperature_c,
     }
+
+
+def frame_text(frame: Mapping[str, Any]) -> str:
+    """A frame's fields in one line."""
+    light = frame["max_dn"] / (2 ** frame["bits"] - 1)
+    size = f"{frame['width_px']}x{frame['height_px']} px, {frame['bits']} bits"
+    parts = [f"{size}, brightest pixel at {light:.0%}"]
+    for name, unit in (("exposure_us", "us"), ("gain_db", "dB"), ("temperature_c", "°C")):
+        if frame[name] is not None:
+            parts.append(f"{frame[name]:g} {unit}")
+    return ", ".join(parts)

@@ -89,6 +89,9 @@ def measure_orphans(line: Pipeline, since: datetime) -> int:
         except StoreError as error:
             _log.error("late_row_refused", slot=slot_text(slot_utc), error=str(error))
             continue
+        except Exception:  # noqa: BLE001 - one pair must not keep every start from its slots
+            _log.exception("late_row_broke", slot=slot_text(slot_utc))
+            continue
         late += 1
     return late
 

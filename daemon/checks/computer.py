@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from daemon.checks import host
 from daemon.checks.finding import Finding, unless
 from daemon.people import user_name
 from daemon.synchronised import clock_is_synchronised
-from drivers.protocols import CapturedPair
 
 MARGIN_C = 10.0
 """Nearer to the temperature at which a computer slows down or stops is too near for a summer."""
@@ -60,13 +60,14 @@ def _zone(zone: Path) -> Iterator[tuple[str, float, float]]:
     yield host.text(zone / "type") or zone.name, thousandths / 1e3, limit_c
 
 
-def check_camera_heat(pair: CapturedPair) -> Iterator[Finding]:
-    """Look at the cameras' own temperatures, where they tell them."""
-    for role, frame in (("main", pair.main), ("sub", pair.sub)):
-        if frame.temperature_c is not None:
-            text = f"{frame.temperature_c:.0f} °C, at most {CAMERA_LIMIT_C:.0f} °C"
+def check_camera_heat(pair: Mapping[str, Any]) -> Iterator[Finding]:
+    """Look at the cameras' own temperatures, where they tell them; a pair as `look` gives it."""
+    for role in ("main", "sub"):
+        temperature_c = pair[role]["temperature_c"]
+        if temperature_c is not None:
+            text = f"{temperature_c:.0f} °C, at most {CAMERA_LIMIT_C:.0f} °C"
             cure = "give it shade, air and a plate that carries the heat away"
-            yield unless(frame.temperature_c < CAMERA_LIMIT_C, f"{role} heat", text, cure)
+            yield unless(temperature_c < CAMERA_LIMIT_C, f"{role} heat", text, cure)
 
 
 def _watchdog() -> Finding:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing
+from typing import Any
 
 from daemon.checks.computer import check_camera_heat
 from daemon.checks.finding import Finding, failed
 from daemon.checks.network import check_network
 from daemon.checks.usb import check_usb
-from daemon.commands.capture import frame_text
 from daemon.config import Config, Installation
+from daemon.control import ask_daemon
 from daemon.devices import (
     found_on_network,
     open_clock,
@@ -18,9 +19,9 @@ from daemon.devices import (
     open_pair_source,
     require_backend,
 )
-from daemon.errors import ConfigError, DcamError, ExitCode
-from daemon.health import dcamd_runs
+from daemon.errors import ConfigError, DcamError
 from daemon.lock import sole_writer
+from daemon.look import frame_text, pair_fields
 from drivers.errors import DriverError
 
 
@@ -49,32 +50,36 @@ def check_links(config: Config) -> Iterator[Finding]:
 
 
 def check_cameras(site: Installation) -> Iterator[Finding]:
-    """Open both cameras and take a pair, as a slot would."""
-    if dcamd_runs(site.state_directory):
-        text = "dcamd has the cameras; systemctl stop dcamd first"
-        yield Finding("pair", "error", text, ExitCode.HARDWARE)
-        return
+    """Take a pair as a slot would; where dcamd runs, it takes it itself between two slots."""
     try:
-        with sole_writer(site.state_directory, "dcam-ctl check"):
-            clock = open_clock(site.config)
-            with closing(open_pair_source(site.config, clock)) as source:
-                pair = source.capture(clock.now_utc().replace(microsecond=0))
+        pair = _pair(site)
     except (DriverError, DcamError, OSError) as error:
         yield failed("pair", error)
         return
-    yield Finding("main frame", "ok", frame_text(pair.main))
-    yield Finding("sub frame", "ok", frame_text(pair.sub))
+    for role in ("main", "sub"):
+        yield Finding(f"{role} frame", "ok", frame_text(pair[role]))
     yield from check_camera_heat(pair)
-    if pair.skew_s is None:
+    skew_s = pair["skew_s"]
+    if skew_s is None:
         text = "not measured: the main camera's line triggers the sub-camera"
         yield Finding("skew", "ok", text)
         return
-    skew_ms, limit_ms = 1e3 * abs(pair.skew_s), site.config.quality.max_skew_ms
+    skew_ms, limit_ms = 1e3 * abs(skew_s), site.config.quality.max_skew_ms
     text = f"{skew_ms:.2f} ms apart, the limit is {limit_ms:g} ms"
     if skew_ms > limit_ms:
         yield Finding("skew", "warning", f"{text}: check cables and the load of the computer")
     else:
         yield Finding("skew", "ok", text)
+
+
+def _pair(site: Installation) -> dict[str, Any]:
+    answer = ask_daemon(site.state_directory, "capture")
+    if answer is not None and answer.look is not None:
+        return answer.look
+    with sole_writer(site.state_directory, "dcam-ctl check"):
+        clock = open_clock(site.config)
+        with closing(open_pair_source(site.config, clock)) as source:
+            return pair_fields(source.capture(clock.now_utc().replace(microsecond=0)))
 
 
 def check_head(config: Config) -> Iterator[Finding]:

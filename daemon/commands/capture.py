@@ -19,11 +19,11 @@ from daemon.devices import open_clock, open_pair_source
 from daemon.errors import ExitCode
 from daemon.exposure import last_known, loop_of, settle
 from daemon.lock import sole_writer
-from daemon.look import frame_fields, look_fields, measure_look
+from daemon.look import frame_text, look_fields, measure_look
 from daemon.measuring import ActiveCalibration, active_calibration
 from daemon.store.database import open_store_readonly
 from daemon.store.errors import DatabaseMissingError
-from drivers.protocols import CapturedFrame, Role
+from drivers.protocols import Role
 
 
 @click.command("capture", epilog="\b\nExample:\n  dcam-ctl capture --json")
@@ -102,7 +102,7 @@ def say_look(look: dict[str, Any]) -> None:
     skew = "not measured" if look["skew_s"] is None else f"{1e3 * look['skew_s']:+.2f} ms"
     say(f"skew         {skew}")
     for name in ("main", "sub"):
-        say(f"{name:<12} {_frame_line(look[name])}")
+        say(f"{name:<12} {frame_text(look[name])}")
 
 
 def _value(row: dict[str, Any]) -> str:
@@ -114,18 +114,3 @@ def _value(row: dict[str, Any]) -> str:
         f"{axis} {row[f'{axis}_mm']:+.3f} ± {row[f'sigma_{axis}_mm']:.3f} mm" for axis in "xy"
     )
     return text if flag is Flag.GOOD else f"{text} (suspect: {why})"
-
-
-def frame_text(frame: CapturedFrame) -> str:
-    """A frame's size, light and settings in one line."""
-    return _frame_line(frame_fields(frame))
-
-
-def _frame_line(frame: dict[str, Any]) -> str:
-    light = frame["max_dn"] / (2 ** frame["bits"] - 1)
-    size = f"{frame['width_px']}x{frame['height_px']} px, {frame['bits']} bits"
-    parts = [f"{size}, brightest pixel at {light:.0%}"]
-    for name, unit in (("exposure_us", "us"), ("gain_db", "dB"), ("temperature_c", "°C")):
-        if frame[name] is not None:
-            parts.append(f"{frame[name]:g} {unit}")
-    return ", ".join(parts)

@@ -25,7 +25,7 @@ from daemon.health import has_stepped_clock
     "--hardware",
     is_flag=True,
     help="Look at the computer, its links to the cameras, the head and the disk too, and take a "
-    "pair; stop dcamd first.",
+    "pair; a running dcamd takes it between two slots.",
 )
 @json_option
 @common_options

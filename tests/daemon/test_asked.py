@@ -58,12 +58,15 @@ def test_a_look_beside_dcamd_is_told_and_not_recorded(site: Site) -> None:
     with running(site) as process:
         ran = ctl(site, "capture", "--json")
         plain = ctl(site, "capture")
+        checked = ctl(site, "check", "--hardware", "--json")
         assert process.poll() is None
     seen = json.loads(ran.stdout)
     assert ran.returncode == 1  # there is no calibration to give a value with
     assert seen["measurement"]["reasons"] == ["no_calibration"]
     assert (seen["main"]["width_px"], seen["sub"]["height_px"], seen["pairs"]) == (320, 200, 1)
     assert "no value (bad: no_calibration)" in plain.stdout
+    states = {found["name"]: found["state"] for found in json.loads(checked.stdout)["findings"]}
+    assert states["main frame"] == states["sub frame"] == "ok"
     with site.store() as store:
         assert unaccounted(store, period_s=1) == 0
         assert store.measured_slots() == site.acknowledged(site.log.read_text())

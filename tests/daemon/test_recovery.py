@@ -139,3 +139,16 @@ def test_other_period_after_a_restart_goes_on_with_its_own_grid(station) -> None
     assert runner.run(1) == 1
     gap = station.store.gaps()[0]
     assert (gap.first_slot_utc, gap.period_s) == (slot(1) + timedelta(seconds=30), 30)
+
+
+def test_a_pair_that_breaks_the_program_keeps_no_start_from_its_slots(station, monkeypatch) -> None:
+    station.run(2)
+    leave_frames(station, 2)
+    station.clock.advance(130)
+    with monkeypatch.context() as broken:
+        broken.setattr("daemon.pipeline.measure_stored", lambda *_: 1 / 0)
+        station.run(1)
+    assert station.minutes() == [0, 1, 4]
+    assert [(first, last) for first, last, _ in station.gaps()] == [(2, 3)]
+    station.run(1)
+    assert station.minutes() == [0, 1, 2, 4, 5]

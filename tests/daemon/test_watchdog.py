@@ -32,6 +32,16 @@ sys.exit(main.main())
 """
 
 
+HANGS_WHEN_IT_CLOSES = """
+import ctypes, sys
+from daemon import main, service
+
+main.CLOSE_LIMIT_S = 0.5
+service.Service._close_cameras = lambda _: ctypes.PyDLL(None).sleep(600)  # and keeps the GIL
+sys.exit(main.main())
+"""
+
+
 @pytest.fixture
 def site(tmp_path: Path):
     with closing(Site(tmp_path)) as site:
@@ -101,6 +111,22 @@ def test_a_slot_that_hangs_feeds_nothing_and_its_pair_is_measured_after_the_abor
     assert said[late + 1] == "WATCHDOG=1"
     with site.store() as store:
         assert len(store.measured_slots()) == 3
+
+
+def test_a_library_that_hangs_at_the_end_cannot_keep_the_process(site: Site) -> None:
+    """It holds even the interpreter's lock, so that nothing of Python runs any more."""
+    ran = subprocess.run(
+        [sys.executable, "-c", HANGS_WHEN_IT_CLOSES, *site.command("--max-slots", "1")[3:]],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert ran.returncode == 1
+    assert "Timeout (0:00:00" in ran.stderr
+    with site.store() as store:
+        assert store.measured_slots() == {MARCH}
 
 
 def status(site: Site) -> dict:
