@@ -42,22 +42,23 @@ def measure_memory(slots: int) -> MemoryUse:
 
 
 def _watch(command: list[str]) -> MemoryUse:
-    done, resident_mb = 0, {}
+    done, memory_mb = 0, {}
     started_s = time.monotonic()
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as daemon:
         for line in daemon.stderr or ():
             if "slot_done" in line:
                 done += 1
-                resident_mb[done] = _resident_mb(daemon.pid)
+                memory_mb[done] = resident_mb(daemon.pid)
     if daemon.returncode != 0 or done <= SETTLED_AT:
         msg = f"dcamd ended with {daemon.returncode} after {done} slots"
         raise RuntimeError(msg)
     # The very last reading may fall on a process that is closing down.
     seconds = time.monotonic() - started_s
-    return MemoryUse(done, resident_mb[SETTLED_AT], resident_mb[done - 1], seconds)
+    return MemoryUse(done, memory_mb[SETTLED_AT], memory_mb[done - 1], seconds)
 
 
-def _resident_mb(pid: int) -> float:
+def resident_mb(pid: int) -> float:
+    """Resident memory of a process."""
     status = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
     found = re.search(r"VmRSS:\s+(\d+) kB", status)
     return int(found[1]) / 1024.0 if found else 0.0

@@ -266,10 +266,12 @@ def _harvesters(config: Config) -> OpenCamera:
 
 
 def _pair(main: Camera, sub: Camera, config: Config, clock: Clock) -> SynchronizedPair:
+    of_main, of_sub = config.camera.main, config.camera.sub
     return SynchronizedPair(
         main,
         sub,
         clock,
         timeout_s=config.trigger.timeout_s,
         main_triggers_sub=config.trigger.mode == "hardware",
+        sizes_px=((of_main.width_px, of_main.height_px), (of_sub.width_px, of_sub.height_px)),
     )

@@ -45,10 +45,11 @@ class DeadlineThread:
         except TimeoutError:
             if future.done():  # a TimeoutError of the function's own
                 raise
+            future.cancel()
             raise DeadlineExceededError from None
 
     def submit(self, function: Callable[[], _T]) -> Future[_T]:
-        """Make a call without waiting for it."""
+        """Make a call without waiting for it; cancelled in time, it is not made."""
         future: Future[_T] = Future()
         self._calls.put((function, future))
         return future
@@ -66,6 +67,8 @@ class DeadlineThread:
 
 
 def _make_call(function: Callable[[], _T], future: Future[_T]) -> None:
+    if not future.set_running_or_notify_cancel():
+        return
     try:
         future.set_result(function())
     except BaseException as error:  # noqa: BLE001  (whatever it is, it belongs to the caller)

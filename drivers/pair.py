@@ -13,7 +13,14 @@ from typing import TypeVar
 import structlog
 
 from drivers.deadline import DeadlineThread
-from drivers.errors import DeviceError, DeviceHangsError, DeviceLostError, FrameTimeoutError
+from drivers.errors import (
+    DeviceError,
+    DeviceHangsError,
+    DeviceLostError,
+    FrameTimeoutError,
+    IncompleteFrameError,
+)
+from drivers.frame_check import require_frame
 from drivers.protocols import Camera, CapturedFrame, CapturedPair, Clock, Role
 
 _T = TypeVar("_T")
@@ -52,10 +59,13 @@ class SynchronizedPair:
         open_timeout_s: float = OPEN_TIMEOUT_S,
         grace_s: float = GRACE_S,
         main_triggers_sub: bool = False,
+        sizes_px: tuple[tuple[int, int], tuple[int, int]] | None = None,
     ) -> None:
+        """Take two cameras, not opened yet. sizes_px: width and height of main and sub frames."""
+        main_px, sub_px = sizes_px or (None, None)
         self._lanes = (
-            _Lane(main, "main", clock),
-            _Lane(sub, "sub", clock, waits_for_line=main_triggers_sub),
+            _Lane(main, "main", clock, main_px),
+            _Lane(sub, "sub", clock, sub_px, waits_for_line=main_triggers_sub),
         )
         self._main_triggers_sub = main_triggers_sub
         self._timeout_s = timeout_s
@@ -123,6 +133,10 @@ class SynchronizedPair:
         return results
 
 
+def _told(error: BaseException) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
 def _is_unanswered(error: DeviceError, role: Role) -> bool:
     return isinstance(error, FrameTimeoutError) and error.role == role
 
@@ -131,9 +145,16 @@ class _Lane:
     """One camera, its thread, and whether and when it may be used."""
 
     def __init__(
-        self, camera: Camera, role: Role, clock: Clock, *, waits_for_line: bool = False
+        self,
+        camera: Camera,
+        role: Role,
+        clock: Clock,
+        size_px: tuple[int, int] | None,
+        *,
+        waits_for_line: bool = False,
     ) -> None:
         self._camera = camera
+        self._size_px = size_px
         self._waits_for_line = waits_for_line
         self._role: Role = role
         self._clock = clock
@@ -144,6 +165,8 @@ class _Lane:
         """Exposure and gain; None: those that the camera is opened with."""
         self._set: tuple[float, float | None] | None = None
         """The wish that the open camera knows of."""
+        self._seen: tuple[int, int] | None = None
+        """The last frame's number and camera time."""
         self._failures = 0
         self._pause_s = 0.0
         self._not_before_s = 0.0
@@ -156,6 +179,8 @@ class _Lane:
         if not self._open:
             self._camera.open()
             self._open, self._set = True, None
+            if self._seen is not None and self._seen[1] == 0:
+                self._seen = None  # without a clock the numbers alone count, from one again
         wanted = self._wanted
         if wanted is not None and wanted != self._set:
             self._camera.set_exposure(*wanted)
@@ -170,7 +195,24 @@ class _Lane:
             meeting.wait(MEET_S)
         if not self._waits_for_line:
             self._camera.trigger()
-        return self._camera.fetch(timeout_s)
+        return self._new(self._camera.fetch(timeout_s))
+
+    def release(self) -> None:
+        """Close the camera, which is given up or has ended: its refusal is nobody's trouble."""
+        try:
+            self._camera.close()
+        except Exception as error:  # noqa: BLE001 - whatever a vendor's library throws
+            _log.warning("camera_not_closed", serial=self._camera.serial, error=_told(error))
+
+    def _new(self, found: object) -> CapturedFrame:
+        """Give the frame if it is whole and was not seen before."""
+        name = f"{self._role} camera {self._camera.serial}"
+        frame = require_frame(found, self._size_px, name)
+        seen, self._seen = self._seen, (frame.frame_id, frame.camera_time_ns)
+        if seen == self._seen:
+            msg = f"{name}: gave frame {frame.frame_id} a second time"
+            raise IncompleteFrameError(msg, self._role)
+        return frame
 
     # ------------------------------------------------------------ in the caller's thread
 
@@ -190,13 +232,14 @@ class _Lane:
             msg = f"{self._trouble}; next attempt in {left_s:.0f} s"
             raise DeviceLostError(self._named(msg), self._role)
         if self._thread is None:
-            self._thread = DeadlineThread(f"{self._role}-camera", self._camera.close)
+            self._thread = DeadlineThread(f"{self._role}-camera", self.release)
         return self._thread.submit(lambda: step(self))
 
     def finish(self, future: Future[_T], what: str, timeout_s: float, deadline_s: float) -> _T:
         """Give what the step gave, by the deadline (monotonic); note what a failure means."""
         wait([future], max(deadline_s - time.monotonic(), 0.0))
         if not future.done():
+            future.cancel()  # behind a call that hangs it is not to be made any more
             self._abandon()
             self._give_up(f"{what} did not end within {timeout_s:g} s")
             raise DeviceLostError(self._named(self._trouble), self._role)
@@ -209,6 +252,12 @@ class _Lane:
             if lost or self._failures >= FAILURES_TO_REOPEN:
                 self._give_up(str(error))
             raise
+        except BaseException as error:
+            # No more than this attempt, whatever a library throws. What state it is in, who knows.
+            msg = f"{self._role} camera {self._camera.serial}: its driver broke ({_told(error)})"
+            _log.error("driver_broke", serial=self._camera.serial, error=_told(error))
+            self._give_up(msg)
+            raise DeviceError(msg, self._role) from error
         if isinstance(result, CapturedFrame):
             if self._trouble:
                 _log.info("camera_back", role=self._role, serial=self._camera.serial)
@@ -222,6 +271,8 @@ class _Lane:
         if thread is not None:
             thread.end(CLOSE_TIMEOUT_S)
             self._left_behind = thread
+            if thread.alive:
+                self._trouble = f"closing did not end within {CLOSE_TIMEOUT_S:g} s"
 
     def _abandon(self) -> None:
         """Leave the thread to the call it hangs in; it closes the camera when it comes back."""
@@ -238,7 +289,7 @@ class _Lane:
         self._pause_s = min(max(2.0 * self._pause_s, FIRST_BACK_OFF_S), LAST_BACK_OFF_S)
         self._not_before_s = self._clock.monotonic_s() + self._pause_s
         if self._thread is not None:
-            self._thread.submit(self._camera.close)
+            self._thread.submit(self.release)
 
     def _named(self, trouble: str) -> str:
         if self._camera.serial in trouble:

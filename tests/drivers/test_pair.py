@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -33,6 +35,8 @@ class FakeCamera:
         self.exposures: list[tuple[float, float | None]] = []
         self.threads: set[int] = set()
         self.on: dict[str, Callable[[], None]] = {}
+        self.give: object = ...
+        """What fetch gives; ...: a new frame."""
 
     def _called(self, name: str) -> None:
         self.calls.append(name)
@@ -54,6 +58,8 @@ class FakeCamera:
 
     def fetch(self, timeout_s: float) -> CapturedFrame:
         self._called("fetch")
+        if self.give is not ...:
+            return self.give
         return CapturedFrame(PIXELS, 8, self.calls.count("trigger"), 0, self.trigger_s)
 
     def close(self) -> None:
@@ -74,7 +80,13 @@ class Rig:
         self.main, self.sub = FakeCamera("M1", 7.0), FakeCamera("S1", 7.25)
         self.clock = SteppedClock(SLOT)
         self.pair = SynchronizedPair(
-            self.main, self.sub, self.clock, timeout_s=0.05, open_timeout_s=0.2, grace_s=0.05
+            self.main,
+            self.sub,
+            self.clock,
+            timeout_s=0.05,
+            open_timeout_s=0.2,
+            grace_s=0.05,
+            sizes_px=((6, 4), (6, 4)),
         )
 
     def fail(self) -> tuple[DeviceError, float]:
@@ -259,11 +271,113 @@ def test_close_does_not_wait_for_a_hung_camera(rig: Rig, monkeypatch: pytest.Mon
     release.set()
 
 
-def test_a_fault_of_the_program_is_not_hidden(rig: Rig) -> None:
-    """What is no device's error passes through, so that it is seen."""
-    rig.main.on["arm"] = _raise(ZeroDivisionError("a bug"))
-    with pytest.raises(ZeroDivisionError):
+@pytest.mark.parametrize("error", [ZeroDivisionError("a bug"), SystemExit("over")])
+def test_a_driver_that_breaks_is_named_and_opened_anew(rig: Rig, error: Exception) -> None:
+    """What is no device's error costs this attempt; both cameras have ended theirs by then."""
+    fetched = threading.Event()
+    rig.main.on["trigger"] = _raise(error)
+    rig.sub.on["fetch"] = fetched.set
+    caught, _ = rig.fail()
+    name = type(error).__name__
+    assert str(caught) == f"main camera M1: its driver broke ({name}: {error})"
+    assert caught.role == "main"
+    assert fetched.is_set()
+    rig.main.on.clear()
+    rig.clock.advance(60.0)
+    rig.pair.capture(SLOT)
+    assert rig.main.calls[-5:] == ["close", "open", "arm", "trigger", "fetch"]
+
+
+def test_a_close_that_fails_is_nobodys_trouble(rig: Rig) -> None:
+    """The camera is opened anew all the same, and a thread that ends does so quietly."""
+    rig.main.on["arm"] = _raise(DeviceLostError("M1 gone"))
+    rig.main.on["close"] = _raise(OSError("no such device"))
+    rig.fail()
+    del rig.main.on["arm"]
+    rig.clock.advance(60.0)
+    rig.pair.capture(SLOT)
+    rig.pair.close()
+    rig.pair.capture(SLOT)
+
+
+def test_what_waits_behind_a_hung_call_is_not_made_any_more(rig: Rig) -> None:
+    """A camera that hangs in its release is not opened by the slot that had given it up."""
+    release, closed = threading.Event(), threading.Event()
+    rig.main.on["arm"] = _raise(DeviceLostError("M1 gone"))
+    rig.main.on["close"] = lambda: release.wait(30.0) and closed.set()
+    rig.fail()
+    del rig.main.on["arm"]
+    rig.clock.advance(60.0)
+    error, _ = rig.fail()
+    assert "did not end within" in str(error)
+    calls = rig.main.calls.copy()
+    rig.main.on.clear()
+    release.set()
+    assert closed.wait(5.0)
+    _wait_for(lambda: rig.main.calls != calls)
+    assert rig.main.calls == [*calls, "close"]  # its thread ends
+    _wait_for(lambda: not rig.pair._lanes[0]._left_behind.alive)
+    rig.clock.advance(60.0)
+    rig.pair.capture(SLOT)
+
+
+def test_a_camera_that_hangs_when_told_to_close_says_so(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivers.pair.CLOSE_TIMEOUT_S", 0.05)
+    release = threading.Event()
+    rig.pair.capture(SLOT)
+    rig.sub.on["close"] = lambda: release.wait(30.0) and None
+    rig.pair.close()
+    error, _ = rig.fail()
+    assert str(error).startswith("sub camera S1: closing did not end within 0.05 s, and still")
+    release.set()
+    _wait_for(lambda: not rig.pair._lanes[1]._left_behind.alive)
+    rig.pair.capture(SLOT)
+
+
+FRAME = CapturedFrame(PIXELS, 8, 1, 5, 7.0)
+
+
+@pytest.mark.parametrize(
+    ("found", "told"),
+    [
+        (None, "gave NoneType instead of a frame"),
+        (replace(FRAME, pixels=PIXELS[0]), "gave pixels of shape (6,) instead of rows and columns"),
+        (replace(FRAME, pixels=PIXELS[:0]), "gave pixels of shape (0, 6) instead of rows and"),
+        (replace(FRAME, pixels=PIXELS * 1.0), "gave pixels of type float64 said to have 8 bits"),
+        (replace(FRAME, bits=12), "gave pixels of type uint8 said to have 12 bits"),
+        (replace(FRAME, pixels=PIXELS.T), "gave 4 x 6 px instead of 6 x 4"),
+        (FRAME, "gave frame 1 a second time"),
+    ],
+)
+def test_what_is_no_whole_new_frame_is_refused(rig: Rig, found: object, told: str) -> None:
+    """Whatever a driver hands over: neither archive nor measurement ever meets it."""
+    rig.sub.give = FRAME
+    rig.pair.capture(SLOT)
+    rig.sub.give = found
+    error, _ = rig.fail()
+    assert isinstance(error, IncompleteFrameError)
+    assert str(error).startswith(f"sub camera S1: {told}")
+    assert error.role == "sub"
+
+
+def test_what_is_no_number_is_not_said_of_a_frame(rig: Rig) -> None:
+    rig.sub.give = replace(FRAME, exposure_us=math.inf, gain_db=3.0, temperature_c=math.nan)
+    sub = rig.pair.capture(SLOT).sub
+    assert (sub.exposure_us, sub.gain_db, sub.temperature_c) == (None, 3.0, None)
+
+
+def test_a_camera_without_a_clock_counts_from_one_after_each_opening(rig: Rig) -> None:
+    """The same number is another frame then; with a clock it is not."""
+    for time_ns, again in ((0, True), (5, False)):
+        rig.sub.give = replace(FRAME, camera_time_ns=time_ns)
         rig.pair.capture(SLOT)
+        rig.pair.close()
+        if again:
+            rig.pair.capture(SLOT)
+        else:
+            assert "a second time" in str(rig.fail()[0])
 
 
 def test_simulated_pair_loses_a_camera_and_gets_it_back() -> None:
