@@ -35,7 +35,7 @@ from daemon.store.records import GapCause, MeasurementRecord
 from daemon.store.times import slot_text
 from daemon.supervision import Action, Policy, policy_of
 from daemon.version import VERSION
-from drivers.errors import DeviceError, DriverError
+from drivers.errors import DeviceError, DeviceLostError, DriverError
 from drivers.protocols import Clock, FramePairSource, Role
 
 _log = structlog.get_logger("dcam.daemon")
@@ -254,7 +254,11 @@ def _take(
         if policy_of(error).action is not Action.RETRY or passed_s > RETRY_WITHIN_S:
             raise
         _log.warning("capture_tried_again", slot=slot_text(slot_utc), error=str(error))
-    return take_burst(source, line.clock, slot_utc, line.burst)
+        first = error
+    try:
+        return take_burst(source, line.clock, slot_utc, line.burst)
+    except DeviceLostError:  # given up by now, for what it did before: that is why there is no pair
+        raise first from None
 
 
 def _missed(slot_utc: datetime, error: Exception, otherwise: GapCause) -> Missed:

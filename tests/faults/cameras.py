@@ -112,11 +112,13 @@ class FaultyCamera:
         with self._call("fetch"):
             self._fail("fetch")
             fault = self.fault
-            if fault is not None and fault.kind == "stale" and self._last is not None:
+            if fault is not None and fault.kind == "stale":
                 return self._last
-            frame = self._last = self._frame()
-            garbage = None if fault is None else GARBAGE.get(fault.kind)
-            return frame if garbage is None else garbage(frame)
+            frame = self._frame()
+            if fault is not None:
+                return GARBAGE[fault.kind](frame)
+            self._last = frame
+            return frame
 
     def close(self) -> None:
         with self._call("close"):
@@ -147,6 +149,10 @@ class FaultyCamera:
         with self._changed:
             self._hanging = False
         self._let_go.set()
+
+    def start_anew(self) -> None:
+        """Be the camera of another process, which knows of no frame."""
+        self._last = None
 
     def _frame(self) -> CapturedFrame:
         self._frames += 1

@@ -18,7 +18,7 @@ from drivers.pair import SynchronizedPair
 from drivers.protocols import CapturedPair
 from tests.faults.cameras import CALLS, ENDED_S, ERRORS, GARBAGE, SIZE, Fault, FaultyCamera
 
-FOR_EVER = 60
+FOR_EVER = 40
 """Slots that a call hangs which nobody expects to return any more."""
 
 
@@ -66,8 +66,8 @@ class FaultySource:
     def __init__(self, clock: SteppedClock, seed: int, faults: int) -> None:
         self.cameras = [FaultyCamera(f"C{number}", clock) for number in (1, 2)]
         self.troubles = [Trouble(camera, seed + i) for i, camera in enumerate(self.cameras)]
-        size = SIZE[::-1]
-        self.pair = SynchronizedPair(*self.cameras, clock, sizes_px=(size, size))
+        self._clock = clock
+        self.pair = self._pair()
         self.expected: dict[datetime, set[GapCause]] = {}
         """Causes that a slot's gap may have; none: it must have a row."""
         self.shown: dict[datetime, tuple[Fault | None, ...]] = {}
@@ -90,6 +90,15 @@ class FaultySource:
         self.pair.prepare()
 
     def capture(self, slot_utc: datetime) -> CapturedPair:
+        if slot_utc not in self.expected:
+            self._begin(slot_utc)
+        try:
+            return self.pair.capture(slot_utc)
+        finally:
+            for lane in self.pair._lanes:
+                _settle(lane)
+
+    def _begin(self, slot_utc: datetime) -> None:
         self.on_slot(len(self.expected))
         for trouble, lane in zip(self.troubles, self.pair._lanes, strict=True):
             trouble.next_slot(lane, more=self.begun < self._faults)
@@ -98,11 +107,18 @@ class FaultySource:
         faults = [camera.fault for camera in self.cameras if camera.fault is not None]
         self.expected[slot_utc] = set().union(*(fault.causes for fault in faults))
         self.shown[slot_utc] = tuple(camera.fault for camera in self.cameras)
-        try:
-            return self.pair.capture(slot_utc)
-        finally:
-            for lane in self.pair._lanes:
-                _settle(lane)
+
+    def start_anew(self) -> None:
+        """The process has ended, and with it whatever hung in it: another one begins."""
+        self.close()
+        for lane in self.pair._lanes:
+            _wait_for_the_one_left_behind(lane)
+            lane._camera.start_anew()
+        self.pair = self._pair()
+
+    def _pair(self) -> SynchronizedPair:
+        size = SIZE[::-1]
+        return SynchronizedPair(*self.cameras, self._clock, sizes_px=(size, size))
 
     def close(self) -> None:
         for trouble in self.troubles:
