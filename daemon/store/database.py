@@ -523,6 +523,11 @@ class Store:
         except DatabaseDamagedError as error:
             self.damage = self.damage or error
             raise
+        except DatabaseUnwritableError:
+            # Connections to a file system that failed never recover, though another may be
+            # mounted in its place by now: the next use opens what is there.
+            self._engine.dispose()
+            raise
 
     def _add(self, session: Session, record: MeasurementRecord) -> None:
         try:
