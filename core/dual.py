@@ -286,10 +286,9 @@ def whole_setup(fit: Fit, recipe: Recipe) -> Setup:
     reference = fit.views.reference
     levels = Levels(
         float(np.median(fit.adjusted.view_rms_px)),
-        reference.board.contrast_dn,
-        reference.board.blur_px,
-        reference.discs.contrast_dn,
-        reference.discs.blur_px,
+        # By single frames, as rows are; the reference may be a mean of many, in finer grey values.
+        *_typical([(v.board.contrast_dn, v.board.blur_px) for v in fit.views.rig]),
+        *_typical([(v.discs.contrast_dn, v.discs.blur_px) for v in fit.views.rig]),
         max(float(np.linalg.norm(m.rotation_rad)) for m in fit.motions),
         max(float(np.linalg.norm(m.t_mm)) for m in fit.motions),
     )
@@ -304,6 +303,11 @@ def whole_setup(fit: Fit, recipe: Recipe) -> Setup:
         fit.posterior,
         levels,
     )
+
+
+def _typical(contrast_and_blur: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    contrast_dn, blur_px = np.median(np.array(contrast_and_blur), axis=0)
+    return float(contrast_dn), float(blur_px)
 
 
 def validate(fit: Fit, recipe: Recipe) -> FloatArray:

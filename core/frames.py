@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,8 @@ from numpy.typing import NDArray
 
 from core.errors import ImageError, ImageSizeError
 from core.site import CameraGeometry
+
+_FULL_16 = float(2**16 - 1)
 
 PixelArray = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -26,6 +29,27 @@ class GreyImage:
     def saturation_dn(self) -> float:
         """The grey value of a saturated pixel."""
         return float(2**self.bits - 1)
+
+
+def mean_image(images: Sequence[GreyImage]) -> GreyImage:
+    """Average images of a scene at rest pixel by pixel, to 16 bits.
+
+    A pixel that is saturated in one of them is so in the mean: what it should be is not known.
+    Raises ImageError for images of different size or depth.
+    """
+    shapes = {(image.pixels.shape, image.bits) for image in images}
+    if len(shapes) != 1:
+        msg = f"{len(images)} images of {len(shapes)} sizes or depths cannot be averaged"
+        raise ImageError(msg)
+    full = images[0].saturation_dn
+    total = np.zeros(images[0].pixels.shape)
+    saturated = np.zeros(images[0].pixels.shape, dtype=bool)
+    for image in images:
+        total += image.pixels
+        saturated |= image.pixels >= full
+    mean = np.rint(total * (_FULL_16 / (full * len(images))))
+    mean = np.where(saturated, _FULL_16, np.minimum(mean, _FULL_16 - 1.0))
+    return GreyImage(mean.astype(np.uint16), 16)
 
 
 def require_size(image: GreyImage, camera: CameraGeometry, what: str) -> None:

@@ -20,6 +20,7 @@ from core.errors import CalibrationError
 from core.site import Site
 from daemon.calibration.positions import ZERO, Limits, Position, planned_positions
 from daemon.calibration.sight import Sight, settled_sight
+from daemon.calibration.zero import take_zero
 from daemon.exposure import ExposureLoop, settle
 from daemon.store.durable import make_directory_durable, write_durable
 from drivers.errors import DriverError
@@ -227,9 +228,7 @@ def _begin(
                 on_trouble(f"lens view {number + 1}: {'; '.join(seen.problems)}")
         rig.hold_board(None)
     on_step("zero")
-    slot_utc, seen = settled_sight(rig.source, rig.clock, rig.site)
-    if seen.problems:
-        raise CalibrationError("zero: " + "; ".join(seen.problems))
+    slot_utc, seen = take_zero(rig.source, rig.clock, rig.site, on_trouble)
     session.add(_keep(session, slot_utc, "reference", seen, rig.head, None))
     return session
 
