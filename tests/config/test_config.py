@@ -225,6 +225,26 @@ def test_every_mistake_is_told_at_once(write) -> None:
         ("[schedule]\nperiod_s = 0.5", "schedule.period_s: must be a whole number"),
         ("[schedule]\noffset_s = 60", "schedule.offset_s: must be less than period_s = 60"),
         ("[schedule]\nmax_late_s = 0", "schedule.max_late_s: must be greater than 0"),
+        (
+            "[schedule]\nburst = 3\nburst_spacing_s = 0.004",
+            "schedule.burst_spacing_s: must be longer than the exposure of 0.005 s, is 0.004",
+        ),
+        (
+            "[schedule]\nburst = 32\nburst_spacing_s = 1.0",
+            "schedule.burst: 32 pairs 1 s apart may take 33 s .* have half of period_s = 60",
+        ),
+        (
+            "[schedule]\nburst = 29\n[exposure]\nmode = 'auto'\nmain_limits_us = [50.0, 1.9e6]",
+            "schedule.burst_spacing_s: must be longer than the exposure of 1.9 s, is 0.5",
+        ),
+        (
+            "[pan_tilt]\npan_limits_deg = [5.0, -5.0]",
+            r"pan_tilt.pan_limits_deg: the lower limit first, is \[5, -5\]",
+        ),
+        (
+            "[pan_tilt]\nhome_deg = [1.0, 7.0]",
+            r"pan_tilt.home_deg: tilt 7 is not within tilt_limits_deg = \[-5, 5\]",
+        ),
         ("[exposure]\nmain_us = 0.005", "exposure.main_us: .* is this in milliseconds"),
         ("[exposure]\nsub_us = 3e6", r"exposure: 3e\+06 us are not over within trigger.timeout_s"),
         ("[exposure]\nwhite_level = 0.9", r"exposure.white_level: must be at most 0\.75"),

@@ -174,6 +174,23 @@ def test_every_automatic_mode_is_off_and_what_was_asked_is_set(
         assert tuple(process.register(registers.EXPOSURE_TIME + k) for k in (0, 4)) == as_double
 
 
+def test_a_changed_exposure_is_in_the_cameras_own_registers(
+    camera: Camera, process: CameraProcess
+) -> None:
+    """Between two frames, and brought within what the camera takes rather than refused."""
+    camera.set_exposure(1234.5, 3.0)
+    frame = shoot(camera)
+    assert (frame.exposure_us, frame.gain_db) == (1234.5, 3.0)
+    in_register = tuple(process.register(registers.EXPOSURE_TIME + k) for k in (0, 4))
+    assert in_register == registers.double_words(1234.5)
+    camera.set_exposure(1e12, 999.0)
+    frame = shoot(camera)
+    assert frame.exposure_us is not None
+    assert frame.gain_db is not None
+    assert 1e4 < frame.exposure_us < 1e9
+    assert 3.0 < frame.gain_db < 100.0
+
+
 def test_without_a_configured_exposure_and_gain_they_are_5_ms_and_the_lowest(
     camera: Camera,
 ) -> None:
