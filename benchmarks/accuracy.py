@@ -30,7 +30,8 @@ SLOW_FRAMES = 8
 """Of those, for `findChessboardCornersSB`, which takes seconds."""
 BOUND_FRAMES = 2
 DISC_FRAMES = 24
-_NARROW_PX = 5
+_NARROW_PX, _USUAL_PX = 5, 11
+"""Half windows of `cornerSubPix`."""
 _MOVE_MM = 10.0
 
 Estimator = Callable[[Scene, GreyImage, Pose], Pose]
@@ -65,8 +66,8 @@ class Accuracy:
     other_discs: Errors
     fit_s: float
     """CPU time of our corner fit and pose, from a prediction; median."""
-    subpix_s: float
-    """CPU time of `cornerSubPix` and `solvePnP` on the same corners, same prediction."""
+    subpix_s: dict[int, float]
+    """CPU time of `cornerSubPix` and `solvePnP` on the same corners, same prediction, by window."""
 
 
 def measure_accuracy(site: Site) -> tuple[Accuracy, ...]:
@@ -101,7 +102,10 @@ def _measure(name: str, scene: Scene) -> Accuracy:
         discs,
         other_discs,
         _cost(scene, images, our_fit),
-        _cost(scene, images, subpix_pose(half_square)),
+        {
+            half: _cost(scene, images, subpix_pose(half))
+            for half in (_NARROW_PX, _USUAL_PX, half_square)
+        },
     )
 
 

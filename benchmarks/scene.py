@@ -41,6 +41,12 @@ class Scene:
     site: Site
     settings: SimSettings
     geometry: TrueGeometry
+    lens: Lens
+    """The sub-camera's true lens."""
+    board: Board
+    """The board as drawn."""
+    corners_mm: FloatArray
+    """(corners, 3) the board as printed."""
 
     @classmethod
     def build(cls, site: Site, settings: SimSettings) -> Scene:
@@ -53,25 +59,11 @@ class Scene:
             turned = turn.R @ T_CS_WS.R
             t_mm = T_CS_WS.apply(middle[None])[0] - turned @ middle
             geometry = replace(geometry, T_CS_WS=Pose(turned, t_mm))
-        return cls(site, settings, geometry)
-
-    @property
-    def lens(self) -> Lens:
-        """The sub-camera's true lens."""
-        true = self.geometry.sub
-        return Lens(
-            np.array([true.fx_px, true.fy_px, 0.0, true.cx_px, true.cy_px, *true.distortion])
-        )
-
-    @property
-    def board(self) -> Board:
-        """The board as drawn."""
-        return Board.nominal(self.site.sub_target)
-
-    @property
-    def corners_mm(self) -> FloatArray:
-        """(corners, 3) the board as printed."""
-        return self.geometry.board.corners_mm()[1:-1, 1:-1].reshape(-1, 3)
+        true = geometry.sub
+        lens = np.array([true.fx_px, true.fy_px, 0.0, true.cx_px, true.cy_px, *true.distortion])
+        corners_mm = geometry.board.corners_mm()[1:-1, 1:-1].reshape(-1, 3)
+        board = Board.nominal(site.sub_target)
+        return cls(site, settings, geometry, Lens(lens), board, corners_mm)
 
     @property
     def rig(self) -> Rig:

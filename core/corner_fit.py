@@ -16,8 +16,10 @@ from core.site import BoolArray, FloatArray, IntArray
 
 CORNER_REACH_SQUARES = 0.5
 """The model covers the pixels nearer to this corner than to its neighbours."""
+_EVEN_BAND_BLURS = 2.1
+"""Pixels further than so many blur widths from both edges do not say where they are."""
 _BAND_PX, _BAND_BLURS = 0.3, 2.2
-"""Pixels further than this (plus so many blur widths) from both edges say where no edge is."""
+"""Where the light is a guess, a little wider."""
 _WIDE_BAND_PX, _WIDE_BAND_BLURS = 2.0, 2.6
 """For squares too small for boxes: wide enough to tell the light's slope from an edge's shift."""
 _GAP_PX, _GAP_BLURS = 2.0, 3.0
@@ -59,16 +61,15 @@ def locate_corners(
     points_px: FloatArray,
     maps: FloatArray,
     reach_squares: float = CORNER_REACH_SQUARES,
-    small: FloatArray | None = None,
 ) -> CornerFits:
     """Locate corners near predicted points.
 
     pixels (h, w); points_px (n, 2); maps (n, 2, 5): board coordinates about the corner in
-    squares as polynomials (u, v, u^2, u v, v^2) of the pixel's offset; small: the image as
-    `shrink` makes it. A few corners tell first how noisy white and black are, how wide the edges,
-    and how far off the prediction is. Then most corners take one step; those with something odd
-    about them (a shadow's edge, dust, an insect) are fitted with the light's slopes free and less
-    weight for what the model cannot explain.
+    squares as polynomials (u, v, u^2, u v, v^2) of the pixel's offset. A few corners tell first
+    how noisy white and black are, how wide the edges, and how far off the prediction is. Then
+    most corners take one step; those with something odd about them (a shadow's edge, dust, an
+    insect) are fitted with the light's slopes free and less weight for what the model cannot
+    explain.
     """
     points_px, maps = np.ascontiguousarray(points_px), np.ascontiguousarray(maps)
     n = len(points_px)
@@ -76,17 +77,18 @@ def locate_corners(
     seen = look(pixels, points_px, maps, half_px, reach_squares, saturation_dn)
     state, information = np.zeros((n, CORNER_PARAMETERS)), np.zeros((n, 2, 2))
     figures = np.zeros((n, 3))
-    blur = float(np.median(seen.blur_px)) if n else 1.0
+    blur = float(np.median(seen.blur_px[:, 0])) if n else 1.0
     limits = np.array([reach_squares, _WIDE_BAND_PX + _WIDE_BAND_BLURS * blur, 0.0, saturation_dn])
     boxes, odd = np.zeros((0, 0), np.float32), np.arange(n)
     if square_px > _BOXES_FROM_PX:
-        boxes = shrink(pixels) if small is None else small
-        limits[1:3] = _BAND_PX + _BAND_BLURS * blur, _GAP_PX + _GAP_BLURS * blur
+        boxes = shrink(pixels)
+        limits[1:3] = _EVEN_BAND_BLURS * blur, _GAP_PX + _GAP_BLURS * blur
         fit_even_corners(
             pixels, boxes, seen.points_px, maps, half_px, seen.weights, limits, seen.blur_px,
             _STEPS, state, information, figures,
         )  # fmt: skip
         odd = _odd(figures)
+        limits[1] = _BAND_PX + _BAND_BLURS * blur
     fit_corners(
         pixels, boxes, seen.points_px, maps, half_px, odd, seen.weights, limits, seen.blur_px,
         _STEPS, state, information, figures, NO_SIDES,

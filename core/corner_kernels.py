@@ -42,10 +42,14 @@ def _edges_in_px(m: FloatArray, c: FloatArray) -> None:
 
 
 @compiled
-def _pack(p: FloatArray, noise: FloatArray, saturation: float, slack: float, c: FloatArray) -> None:
-    """Put parameters, saturation and what makes the pixel weights into c[10:21] and c[25:30].
+def _pack(
+    p: FloatArray, blur: FloatArray, noise: FloatArray, saturation: float, slack: float,
+    c: FloatArray,
+) -> None:  # fmt: skip
+    """Put parameters, saturation and what makes the pixel weights into c[10:21] and c[25:32].
 
-    slack: what the model may miss, squared; 0 lets no pixel fade.
+    blur (3,): where it began, its slopes by u and v, which are not fitted; slack: what the model
+    may miss, squared; 0 lets no pixel fade.
     """
     for k in range(CORNER_PARAMETERS):
         c[10 + k] = p[k]
@@ -55,6 +59,8 @@ def _pack(p: FloatArray, noise: FloatArray, saturation: float, slack: float, c: 
     for k in range(4):
         c[25 + k] = noise[k]
     c[29] = slack
+    for k in range(2):
+        c[30 + k] = -blur[1 + k] / (p[BLUR] * p[BLUR])
 
 
 @compiled
@@ -165,8 +171,8 @@ def fit_corners(
     or (0, 0) to do without; points (n, 2) px; maps (n, 2, 5) squares per px, px^2; half (n,) px;
     noise (6,): a pixel's variance at grey 0, by grey, the least and the most it may be, what the
     model may miss (squared; 0: no pixel fades), and what even light may; limits: reach in
-    squares, band about the edges px, gap between edges and boxes px, saturation DN; blurs (n,) px
-    to start from.
+    squares, band about the edges px, gap between edges and boxes px, saturation DN; blurs (n, 3)
+    px to start from, and its slopes by u and v.
     Out: state (n, 9); information (n, 2, 2), the inverse covariance of the shift, nuisance
     parameters eliminated; figures (n, 3): weighted sum of squares, degrees of freedom, 1 if the
     fit is usable; sides (n, 2, 3), or of no rows, see `flat_noise`.
@@ -191,12 +197,12 @@ def fit_corners(
         count = _gather_flats(boxes, points[k], half[k], c, bounds, samples, count)
         if not _start(samples, count, c, p):
             continue
-        p[BLUR] = blurs[k]
+        p[BLUR] = blurs[k, 0]
         padded = (count + _LANES - 1) // _LANES * _LANES
         samples[:, count:padded] = 0.0
         usable, squares, told = True, 0.0, 0.0
         for turn in range(iterations):
-            _pack(p, noise, limits[3], noise[4] if turn > 0 else 0.0, c)
+            _pack(p, blurs[k], noise, limits[3], noise[4] if turn > 0 else 0.0, c)
             squares, told = sum_up(samples, padded, c, normal, right)
             factor[:, :] = normal
             step[:] = right
@@ -223,7 +229,7 @@ def fit_corners(
             _information(factor, n, information[k])
             figures[k, 2] = 1.0
             if len(sides):
-                _pack(p, noise, limits[3], 0.0, c)
+                _pack(p, blurs[k], noise, limits[3], 0.0, c)
                 flat_noise(samples, count, c, sides[k])
 
 
@@ -259,12 +265,12 @@ def fit_even_corners(
         for i in range(3):
             p[i] = 0.5 * (planes[0, i] + planes[1, i])
             p[GAIN + i] = 0.5 * (planes[0, i] - planes[1, i])
-        p[BLUR], p[SHIFT], p[SHIFT + 1] = blurs[k], 0.0, 0.0
+        p[BLUR], p[SHIFT], p[SHIFT + 1] = blurs[k, 0], 0.0, 0.0
         padded = (count + _LANES - 1) // _LANES * _LANES
         samples[:, count:padded] = 0.0
         usable, squares = True, 0.0
         for _ in range(iterations):
-            _pack(p, noise, limits[3], 0.0, c)
+            _pack(p, blurs[k], noise, limits[3], 0.0, c)
             squares = sum_up_even(samples, padded, c, normal, right)
             factor[:, :] = normal
             step[:] = right

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,9 +14,10 @@ from core.site import BoolArray, FloatArray, IntArray
 
 _SAMPLE, _STEPS, _BAND_PX = 30, 3, 6.0
 _GOLDEN = 0.618
-"""Every so-manieth corner, counted around, is never twice the same, nor all along one line."""
+"""Of all corners: stepping on by this share and around visits all parts of the board."""
 _FEWEST_FLAT, _FEWEST_CORNERS = 8.0, 3
-_FEWEST_FOR_FIELD = 12
+_FEWEST_FOR_FIELD = 18
+_LIKE_OTHERS_PX = 0.05
 _ROUNDING_DN2 = 1.0 / 12.0
 _MOST_RATIO = 25.0
 """Of the variances: black that is cut off at 0 has none, and would count for everything."""
@@ -71,7 +73,7 @@ class FirstLook:
     points_px: FloatArray
     """(n, 2) where all corners are expected now."""
     blur_px: FloatArray
-    """(n,)."""
+    """(n, 3) and its slopes by u and v."""
     noise: GreyNoise
     noise_dn: float
     """rms over white and black."""
@@ -89,18 +91,18 @@ def look(
 ) -> FirstLook:
     """Fit some corners, every pixel alike, from predictions that may be off by a pixel or so."""
     n = len(points_px)
-    some = np.unique(np.arange(min(n, _SAMPLE)) * round(_GOLDEN * n) % max(n, 1))
+    some = _some(n)
     state, information = np.zeros((n, CORNER_PARAMETERS)), np.zeros((n, 2, 2))
     figures, sides = np.zeros((n, 3)), np.zeros((n, 2, 3))
     limits = np.array([reach_squares, _BAND_PX, 0.0, saturation_dn])
     fit_corners(
         pixels, np.zeros((0, 0), np.float32), points_px, maps, half_px, some, _UNWEIGHTED, limits,
-        np.ones(n), _STEPS, state, information, figures, sides,
+        _no_slopes(n, 1.0), _STEPS, state, information, figures, sides,
     )  # fmt: skip
     some = some[figures[some, 2] > 0]
     if len(some) == 0:
         noise = GreyNoise.alike(1.0)
-        return FirstLook(points_px, np.ones(n), noise, 1.0, noise.weights(0.0))
+        return FirstLook(points_px, _no_slopes(n, 1.0), noise, 1.0, noise.weights(0.0))
     noise, noise_dn = _noise(state[some], sides[some], figures[some])
     shift_px, blur_px = _fields(points_px, some, state[some, BLUR:])
     contrast_dn = 2.0 * float(np.median(np.abs(state[some, GAIN])))
@@ -125,24 +127,41 @@ def _noise(state: FloatArray, sides: FloatArray, figures: FloatArray) -> tuple[G
 def _fields(
     points_px: FloatArray, some: IntArray, found: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Shift (n, 2) and blur (n,) of all corners from those of some, as they vary over the image.
+    """Shift (n, 2) and blur (n, 3) of all corners from those of some, as they vary over the image.
 
     Quadratic in the place, which is as much as a small step of the pose or a lens makes of it;
     corners that do not fit in (under an insect) are left out. found (k, 3): blur and shift.
     """
     n = len(points_px)
     if len(some) < _FEWEST_FOR_FIELD:
-        return np.zeros((n, 2)), np.full(n, np.median(found[:, 0]))
+        return np.zeros((n, 2)), _no_slopes(n, float(np.median(found[:, 0])))
     middle = points_px.mean(axis=0)
-    u, v = (points_px - middle).T / max(float(np.abs(points_px - middle).max()), 1.0)
+    size_px = max(float(np.abs(points_px - middle).max()), 1.0)
+    u, v = (points_px - middle).T / size_px
     basis = np.stack([np.ones(n), u, v, u * u, u * v, v * v], axis=1)
     keep: BoolArray = np.ones(len(some), dtype=bool)
     for _ in range(2):
         field = np.linalg.lstsq(basis[some[keep]], found[keep], rcond=None)[0]
         off = np.abs(found - basis[some] @ field)
-        keep = (off <= 4.0 * np.median(off, axis=0) + 1e-3).all(axis=1)
+        fits = (off <= 4.0 * np.median(off, axis=0) + _LIKE_OTHERS_PX).all(axis=1)
+        if (fits >= keep).all():
+            break
+        keep = fits
         if keep.sum() < _FEWEST_FOR_FIELD:
-            return np.zeros((n, 2)), np.full(n, np.median(found[:, 0]))
-    everywhere = basis @ field
-    low, high = found[keep, 0].min(), found[keep, 0].max()
-    return everywhere[:, 1:], everywhere[:, 0].clip(low, high)
+            return np.zeros((n, 2)), _no_slopes(n, float(np.median(found[:, 0])))
+    everywhere = (basis @ field).clip(found[keep].min(axis=0), found[keep].max(axis=0))
+    _, by_u, by_v, by_uu, by_uv, by_vv = field[:, 0] / size_px
+    slopes = [by_u + 2.0 * by_uu * u + by_uv * v, by_v + by_uv * u + 2.0 * by_vv * v]
+    return everywhere[:, 1:], np.stack([everywhere[:, 0], *slopes], axis=1)
+
+
+def _no_slopes(n: int, blur_px: float) -> FloatArray:
+    return np.tile([blur_px, 0.0, 0.0], (n, 1))
+
+
+def _some(n: int) -> IntArray:
+    """Indices of some of n corners, evenly spread and not along lines of the board."""
+    step = max(round(_GOLDEN * n), 1)
+    while math.gcd(step, n) > 1:
+        step += 1
+    return np.sort(np.arange(min(n, _SAMPLE)) * step % max(n, 1))

@@ -22,7 +22,7 @@ so that the Cholesky factor of the normal matrix ends with the information on th
 """
 EVEN_PARAMETERS = 5
 """Offset, gain, blur, shift: where the slopes are known."""
-SCALARS = 30
+SCALARS = 32
 
 _ONE, _ZERO = np.float32(1.0), np.float32(0.0)
 _FAR, _FLAT = np.float32(3.5), np.float32(2.5)
@@ -61,6 +61,7 @@ def sum_up(
     offset, offset_u, offset_v, gain, gain_u, gain_v = c[10], c[11], c[12], c[13], c[14], c[15]
     per_blur, shift_u, shift_v, fading, saturation = c[16], c[17], c[18], c[19], c[20]
     dark, by_grey, least, most, slack = c[25], c[26], c[27], c[28], c[29]
+    sharp_u, sharp_v = c[30], c[31]
     us, vs, greys, pixels = samples[0], samples[1], samples[2], samples[3]
     n1 = nu = nv = nuu = nuv = nvv = _ZERO  # w (1 u v)^2, with s = edge(x) * edge(y):
     s1 = su = sv = suu = suv = svv = _ZERO  # w s (1 u v)^2
@@ -75,13 +76,14 @@ def sum_up(
         du, dv = u - shift_u, v - shift_v
         x = du * (x_u + x_uu * du + x_uv * dv) + dv * (x_v + x_vv * dv)
         y = du * (y_u + y_uu * du + y_uv * dv) + dv * (y_v + y_vv * dv)
-        rise_x, bell_x, z_x = _edge(x, per_blur)
-        rise_y, bell_y, z_y = _edge(y, per_blur)
+        sharp = per_blur + sharp_u * u + sharp_v * v
+        rise_x, bell_x, z_x = _edge(x, sharp)
+        rise_y, bell_y, z_y = _edge(y, sharp)
         local = gain + gain_u * u + gain_v * v
         s = rise_x * rise_y
         model = offset + offset_u * u + offset_v * v + local * s
         miss = greys[i] - model
-        local *= -per_blur
+        local *= -sharp
         by_x, by_y = local * rise_y * bell_x, local * rise_x * bell_y
         by_u, by_v = by_x * c[21] + by_y * c[23], by_x * c[22] + by_y * c[24]
         by_blur = by_x * z_x + by_y * z_y
@@ -141,6 +143,7 @@ def sum_up_even(
     offset, offset_u, offset_v, gain, gain_u, gain_v = c[10], c[11], c[12], c[13], c[14], c[15]
     per_blur, shift_u, shift_v = c[16], c[17], c[18]
     dark, by_grey, least, most = c[25], c[26], c[27], c[28]
+    sharp_u, sharp_v = c[30], c[31]
     us, vs, greys, pixels = samples[0], samples[1], samples[2], samples[3]
     n1 = s1 = q1 = b1 = bs = bb = h1 = hs = hb = hh = _ZERO
     k1 = ks = kb = kh = kk = m1 = ms = mb = mh = mk = mm = _ZERO
@@ -149,13 +152,14 @@ def sum_up_even(
         du, dv = u - shift_u, v - shift_v
         x = du * (x_u + x_uu * du + x_uv * dv) + dv * (x_v + x_vv * dv)
         y = du * (y_u + y_uu * du + y_uv * dv) + dv * (y_v + y_vv * dv)
-        rise_x, bell_x, z_x = _edge(x, per_blur)
-        rise_y, bell_y, z_y = _edge(y, per_blur)
+        sharp = per_blur + sharp_u * u + sharp_v * v
+        rise_x, bell_x, z_x = _edge(x, sharp)
+        rise_y, bell_y, z_y = _edge(y, sharp)
         local = gain + gain_u * u + gain_v * v
         s = rise_x * rise_y
         model = offset + offset_u * u + offset_v * v + local * s
         miss = greys[i] - model
-        local *= -per_blur
+        local *= -sharp
         by_x, by_y = local * rise_y * bell_x, local * rise_x * bell_y
         by_u, by_v = by_x * c[21] + by_y * c[23], by_x * c[22] + by_y * c[24]
         by_blur = by_x * z_x + by_y * z_y

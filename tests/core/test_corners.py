@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from core.resection import resect
 from core.site import CheckerboardTarget
 from drivers.sim.render import Look
 from drivers.sim.settings import Sensor
-from tests.core.boards import AS_CORE, CAMERA, TARGET, BoardScene
+from tests.core.boards import AS_CORE, CAMERA, EVEN, TARGET, BoardScene
 
 FAR = (1.0, -0.5, 62.0)
 """The whole board in the image when it is tilted or rolled."""
@@ -269,6 +270,48 @@ def test_located_to_their_own_sigma(light, bits, sigma_px) -> None:
     bias_px = points.mean(axis=0) - scene.corners_px[views[0].index]
     assert np.sqrt((bias_px**2).mean()) < 0.005
     assert np.abs(bias_px).max() < 0.02
+
+
+LARGE = CheckerboardTarget(13, 12, 5.0, 52.0)
+"""Squares of 50 px, in even light: fitted with the light of the squares around."""
+
+
+@pytest.mark.parametrize(("light", "bits"), [(1.0, 8), (0.1, 8), (1.0, 16)])
+@pytest.mark.parametrize("look", [EVEN, Look(0.65, 1.5, 0.45, 1.0)], ids=["even", "uneven"])
+def test_corners_of_large_squares_scatter_by_their_own_sigma(look, light, bits) -> None:
+    """Ten noises, each seen from a prediction 0.6 px off: no gain is known, nor the light.
+
+    Scatter and bias about the truth are what the covariance says.
+    """
+    scene = BoardScene(
+        LARGE, turn_deg=(8.0, -6.0, 4.0), light=light, look=look, sensor=Sensor(bits=bits)
+    )
+    nominal, near = scene.board.corners_mm, scene.moved(0.06, -0.01).pose
+    squares = []
+    for image in scene.images(10):
+        view = refine_board(image, AS_CORE, near, scene.board, nominal).view
+        assert len(view.index) > 0.97 * len(scene.inside(3.0))
+        away = view.points_px - scene.corners_px[view.index]
+        squares.append(np.einsum("ni,nij,nj->n", away, np.linalg.inv(view.covariance_px2), away))
+    assert 0.8 < np.sqrt(np.concatenate(squares).mean() / 2.0) < 1.25
+
+
+def test_white_may_be_noisier_than_black() -> None:
+    """Shot noise: sigma follows what each pixel knows, and the pose is better for it.
+
+    The same noise all over, as strong as in white, costs a quarter at least.
+    """
+    scene = BoardScene(LARGE, turn_deg=(8.0, -6.0, 4.0), sensor=Sensor(bits=16))
+    nominal, rng = scene.board.corners_mm, np.random.default_rng(4)
+    clean = replace(scene, sensor=Sensor(bits=16, noise=False)).image().pixels.astype(float)
+    white = np.percentile(clean, 90.0)
+    sigma_px = []
+    for grey in (clean, np.full_like(clean, white)):
+        noisy = clean + rng.normal(size=clean.shape) * 400.0 * np.sqrt(grey / white)
+        image = GreyImage(noisy.clip(0, 65535).astype(np.uint16), 16)
+        view = refine_board(image, AS_CORE, scene.pose, scene.board, nominal).view
+        sigma_px.append(np.sqrt(np.median(view.covariance_px2[:, 0, 0])))
+    assert sigma_px[1] > 1.25 * sigma_px[0]
 
 
 def test_pose_to_its_own_sigma() -> None:
