@@ -1,4 +1,4 @@
-"""A running dcamd lends its cameras to `calibrate --pan-tilt` and to `check`, and goes on."""
+"""A running dcamd lends its cameras to `calibrate --pan-tilt`, and then uses its result."""
 
 import signal
 import subprocess
@@ -72,39 +72,3 @@ def test_slots_before_gap_calibration_slots_after(tmp_path: Path) -> None:
     assert rows[0].measurement.reasons == (Reason.NO_CALIBRATION,)
     assert rows[-1].calibration_id == 1
     assert rows[-1].measurement.flag is not Flag.BAD
-
-
-def wait_for_log(dcamd: subprocess.Popen, log: Path, count: int) -> None:
-    """Wait until so many slots are told of in the log."""
-    end_s = time.monotonic() + DEADLINE_S
-    while log.read_text().count("event=slot_done") < count:
-        assert dcamd.poll() is None, "dcamd ended"
-        assert time.monotonic() < end_s, f"{count} slots did not come"
-        time.sleep(0.1)
-
-
-def test_check_takes_its_pair_and_slots_go_on(tmp_path: Path) -> None:
-    config, log = tmp_path / "dcam.toml", tmp_path / "log"
-    config.write_text(SIMULATED + 'clock = "system"\n[schedule]\nperiod_s = 2\n')
-    where = ["--config", config, "--state", tmp_path / "state"]
-    with log.open("w") as file:
-        dcamd = subprocess.Popen(
-            [sys.executable, "-m", "daemon.main", *where], cwd=ROOT, stderr=file
-        )
-    try:
-        wait_for_log(dcamd, log, 1)
-        checked = subprocess.run(
-            [sys.executable, "-m", "daemon.ctl", *where, "check", "--hardware"],
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert checked.returncode == 0, checked.stdout
-        assert "main frame" in checked.stdout
-        wait_for_log(dcamd, log, log.read_text().count("event=slot_done") + 1)
-        dcamd.send_signal(signal.SIGTERM)
-        assert dcamd.wait(DEADLINE_S) == 0
-    finally:
-        dcamd.kill()
-        dcamd.wait()
