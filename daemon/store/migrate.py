@@ -20,10 +20,14 @@ from sqlalchemy import Connection, Engine, inspect, text
 from daemon.store import revisions
 from daemon.store.checksum import row_digest
 from daemon.store.copying import backup
+from daemon.store.durable import fsync_directory
 from daemon.store.engine import translated
-from daemon.store.errors import TO_SALVAGE, DatabaseDamagedError, DatabaseForeignError
+from daemon.store.errors import TO_SALVAGE, DatabaseDamagedError, DatabaseForeignError, StoreError
 from daemon.store.records import Mark
 from daemon.store.schema import Base
+
+_PENDING = ".pending"
+"""Ends the name of a backup as long as its migration is not done."""
 
 SCHEMA_QUERY = "SELECT type, name, tbl_name, sql FROM sqlite_master ORDER BY name"
 
@@ -85,19 +89,52 @@ def migrate(engine: Engine, path: Path, now_utc: datetime) -> Path | None:
         found = revision(connection, path)
     revisions.require_known(found, path, known_revisions())
     if found == head_revision():
+        _settle_pending(path, found)
         return None
+    _clear_attempts(path)
     saved = None
     if found is not None:
-        _clear_half_copies(path)
         saved = _backup_name(path, found, now_utc)
         backup(path, saved)
     try:
-        with translated(path):
-            upgrade(engine)
+        _upgrade_plainly(engine, path)
     except BaseException:
         if saved is not None:  # nothing has changed; copies must not pile up with every restart
             saved.unlink()
         raise
+    return None if saved is None else _keep(saved)
+
+
+def _upgrade_plainly(engine: Engine, path: Path) -> None:
+    """Upgrade; a script that fails, in whatever way, is said with what it means for the user."""
+    try:
+        with translated(path):
+            upgrade(engine)
+    except Exception as error:
+        if isinstance(error, StoreError) and type(error) is not StoreError:
+            raise  # disk or lock: it says itself what to do
+        why = " ".join(str(error).removeprefix(f"{path}: ").split()) or type(error).__name__
+        msg = (
+            f"{path}: cannot be brought to revision {head_revision()} ({why}); nothing was "
+            "changed: install the version before again, and report this"
+        )
+        raise StoreError(msg) from error
+
+
+def _settle_pending(path: Path, found: str) -> None:
+    """After a cut: a backup of an older revision is kept, of this one the migration never was."""
+    for pending in path.parent.glob(f"{path.name}.revision-*{_PENDING}"):
+        if pending.name.startswith(f"{path.name}.revision-{found}."):
+            pending.unlink()
+        else:
+            _keep(pending)
+
+
+def _keep(pending: Path) -> Path:
+    """Give a backup its lasting name, now that it is older than the database."""
+    saved = pending.with_name(pending.name.removesuffix(_PENDING))
+    pending.rename(saved)
+    fsync_directory(saved.parent)
     return saved
 
 
@@ -142,11 +179,12 @@ def _set_mark(connection: Connection, name: Mark, value: str, *, replace: bool) 
     )
 
 
-def _clear_half_copies(path: Path) -> None:
-    """Remove what a cut left of an earlier backup: no later one has that name again."""
-    for half in path.parent.glob(f".{path.name}.revision-*.tmp*"):
+def _clear_attempts(path: Path) -> None:
+    """Remove what cuts left of earlier attempts: the database is as it was before them."""
+    halves = path.parent.glob(f".{path.name}.revision-*.tmp*")
+    for left in (*halves, *path.parent.glob(f"{path.name}.revision-*{_PENDING}")):
         with suppress(OSError):  # the backup, next, says what is wrong with the directory
-            half.unlink()
+            left.unlink()
 
 
 def _backup_name(path: Path, found: str, now_utc: datetime) -> Path:
@@ -157,4 +195,4 @@ def _backup_name(path: Path, found: str, now_utc: datetime) -> Path:
     while candidate.exists():  # a clock that stands still must not cost an older backup
         number += 1
         candidate = path.with_name(f"{name}.{number}")
-    return candidate
+    return candidate.with_name(candidate.name + _PENDING)

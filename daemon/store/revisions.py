@@ -5,6 +5,7 @@ A test holds the two together: whoever adds a migration adds its name here.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -34,8 +35,20 @@ def require_head(found: str | None, path: Path, known: Sequence[str] = REVISIONS
 def require_known(found: str | None, path: Path, known: Sequence[str] = REVISIONS) -> None:
     """Raise DatabaseNewerError for a revision that this version does not know."""
     if found is not None and found not in known:
+        backup = _backup_for(path, known)
+        restore = (
+            f"restore {backup}, which has no later rows" if backup else "restore a backup of before"
+        )
         msg = (
             f"{path}: written by a newer version (revision {found}, this one knows up to "
-            f"{known[-1]}): install that version again, or restore the backup made before it"
+            f"{known[-1]}): install that version again, or {restore}"
         )
         raise DatabaseNewerError(msg)
+
+
+def _backup_for(path: Path, known: Sequence[str]) -> str | None:
+    """The newest of the backups made before migrations that this version can read."""
+    name = re.compile(rf"{re.escape(path.name)}\.revision-(.+)\.(\d{{8}}T\d{{6}}Z(?:\.\d+)?)")
+    found = (match for file in path.parent.iterdir() if (match := name.fullmatch(file.name)))
+    usable = [(match[2], match[0]) for match in found if match[1] in known]
+    return max(usable)[1] if usable else None

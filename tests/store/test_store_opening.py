@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
@@ -14,7 +16,7 @@ import pytest
 from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from sqlalchemy import create_engine, inspect
+from sqlalchemy import Engine, create_engine, event, inspect
 
 from daemon.store import migrate
 from daemon.store.database import open_store, open_store_readonly
@@ -33,6 +35,7 @@ from daemon.store.revisions import REVISIONS
 from daemon.store.schema import Base
 from daemon.store.times import slot_text
 from tests.store.examples import full_record, record, slot
+from tests.store.writer import counted, die_at
 
 NOW = datetime(2026, 3, 1, 12, 34, 56, tzinfo=UTC)
 
@@ -181,19 +184,87 @@ def test_rows_from_before_bursts_rest_on_one_pair(tmp_path: Path) -> None:
     assert (first.spread_mm, first.frames_used, second.frames_used) == (None, 1, 0)
 
 
+@pytest.mark.parametrize(
+    "failing",
+    [
+        ("op.execute('SELECT * FROM no_such_table')", "no such table: no_such_table"),
+        ("op.execute('UPDATE measurement SET flag = 2')", "CHECK constraint failed"),
+        ("op.execute('DROP TABLE event'); {}['key']", "key"),
+        (
+            "op.get_bind().connection.driver_connection.interrupt(); raise MemoryError",
+            "MemoryError",
+        ),
+    ],
+    ids=["statement", "constraint", "script", "memory"],
+)
 def test_a_failing_migration_changes_nothing(
-    state: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    state: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: tuple[str, str]
 ) -> None:
-    next_version(tmp_path, monkeypatch, then="op.execute('SELECT * FROM no_such_table')")
+    next_version(tmp_path, monkeypatch, then=failing[0])
     before = tables(state / "dcam.db")
     for _ in range(2):
-        with pytest.raises(StoreError, match="no_such_table"):
+        with pytest.raises(StoreError) as told:
             open_store(state, now_utc=NOW)
+        assert str(told.value).startswith(f"{state}/dcam.db: cannot be brought to revision next (")
+        assert failing[1] in str(told.value)
+        assert str(told.value).endswith(
+            "; nothing was changed: install the version before again, and report this"
+        )
+        assert "\n" not in str(told.value)
     assert tables(state / "dcam.db") == before
     assert [path.name for path in state.iterdir()] == ["dcam.db"]
     monkeypatch.undo()
-    with open_store(state) as store:
+    with open_checked_store(state) as store:
         assert store.last_slot() == slot(0)
+        store.add_measurement(record(slot(1)))
+
+
+def test_killed_anywhere_in_a_migration_the_old_version_works_or_the_new_one_does(
+    state: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SIGKILL before every statement, sync and rename: no row is lost, and no copies pile up."""
+    whole = state.rename(tmp_path / "whole")
+    next_version(tmp_path, monkeypatch, then="op.execute('UPDATE gap SET detail = 1')")
+    step, killed = 0, True
+    migrated = set()
+    while killed:
+        step += 1
+        shutil.copytree(whole, state)
+        child = os.fork()
+        if child == 0:
+            kill_at(step)
+            open_store(state, now_utc=NOW)
+            os._exit(0)
+        killed = os.waitpid(child, 0)[1] == signal.SIGKILL
+        is_new = "weather" in tables(state / "dcam.db")
+        migrated.add(is_new)
+        if not is_new:
+            with monkeypatch.context() as old:
+                old.setattr(migrate, "alembic_config", ALEMBIC_CONFIG)
+                with open_store(state) as store:
+                    assert store.last_slot() == slot(0)
+        with open_checked_store(state, now_utc=NOW) as store:
+            assert [row.slot_utc for row in store.measurements()] == [slot(0)]
+        head = REVISIONS[-1]
+        assert sorted(path.name for path in state.iterdir()) == [
+            *("dcam.db", f"dcam.db.revision-{head}.20260301T123456Z")
+        ]
+        shutil.rmtree(state)
+    assert step > 15
+    assert migrated == {False, True}
+
+
+ALEMBIC_CONFIG = migrate.alembic_config
+
+
+def kill_at(last_step: int) -> None:
+    """Have this process killed at its n-th statement, sync or rename."""
+    step = die_at(last_step)
+    os.fsync = counted(step, os.fsync)
+    Path.replace = counted(step, Path.replace)
+    Path.rename = counted(step, Path.rename)
+    event.listen(Engine, "before_cursor_execute", step)
+    event.listen(Engine, "commit", step)
 
 
 def test_half_a_copy_that_a_cut_left_goes_with_the_next_migration(
@@ -219,7 +290,10 @@ def test_a_database_of_a_newer_version_is_refused_and_left_alone(
         message = str(caught.value)
         assert "\n" not in message
         assert "dcam.db: written by a newer version (revision next, this one knows up" in message
-        assert "install that version again" in message
+        assert message.endswith(
+            "install that version again, or restore "
+            f"dcam.db.revision-{REVISIONS[-1]}.20260301T123456Z, which has no later rows"
+        )
     assert (state / "dcam.db").read_bytes() == content
 
 
