@@ -17,14 +17,14 @@ from pathlib import Path
 import structlog
 
 from daemon.store.checksum import DIGEST, named, row_digest
-from daemon.store.errors import DatabaseDamagedError, DatabaseForeignError
+from daemon.store.errors import DatabaseDamagedError, DatabaseForeignError, StoreError
 from daemon.store.log_file import lost_commits, read_log
 from daemon.store.migrate import SCHEMA_QUERY, known_revisions, schema_digests
 from daemon.store.pages import PageFile, RawRow
 from daemon.store.records import Mark
 from daemon.store.revisions import require_known
 from daemon.store.schema import Base
-from daemon.store.sqlite import connect_readonly, is_database_file, said_plainly
+from daemon.store.sqlite import connect, connect_readonly, is_database_file, said_plainly
 
 _log = structlog.get_logger("dcam.daemon")
 
@@ -108,6 +108,7 @@ def ended_in_order(path: Path) -> bool:
 def _look(path: Path, depth: Depth) -> str | None:
     if not path.is_file():
         return "not a file"
+    _roll_back(path)
     if not is_database_file(path):
         return "not a SQLite database" if path.stat().st_size else "empty"
     if depth > Depth.NEWEST:
@@ -121,6 +122,14 @@ def _look(path: Path, depth: Depth) -> str | None:
             return next(_findings(connection, path, depth), None)
     except DatabaseDamagedError as error:
         return str(error.__cause__)
+
+
+def _roll_back(path: Path) -> None:
+    """Undo what a cut left of a database's making: a journal that no reader may undo itself."""
+    journal = path.with_name(path.name + "-journal")
+    if journal.exists() and journal.stat().st_size:
+        with suppress(sqlite3.Error, StoreError), closing(connect(path)) as connection:
+            connection.execute("SELECT count(*) FROM sqlite_master").close()
 
 
 def _findings(connection: sqlite3.Connection, path: Path, depth: Depth) -> Iterator[str]:

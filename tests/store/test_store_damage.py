@@ -291,6 +291,28 @@ def test_a_commit_that_a_cut_left_half_done_is_no_damage(tmp_path: Path) -> None
         assert store.events(kind="database_salvaged") == []
 
 
+def test_a_rollback_journal_that_a_cut_left_is_undone_and_no_damage(
+    state: Path, sound: Path, tmp_path: Path
+) -> None:
+    """A copy of a database, or one that is just being made, has a journal before it has a log."""
+    cut = tmp_path / "cut"
+    cut.mkdir()
+    with closing(sqlite3.connect(state / "dcam.db", isolation_level=None)) as connection:
+        connection.execute("PRAGMA journal_mode=DELETE")
+        connection.execute("PRAGMA cache_size=1")
+        connection.execute("BEGIN")
+        connection.execute("UPDATE measurement SET version = 'half done'")
+        for name in ("dcam.db", "dcam.db-journal"):
+            shutil.copy(state / name, cut)
+    for opener in (open_store, open_checked_store):
+        again = Path(shutil.copytree(cut, tmp_path / opener.__name__))
+        opener(again).close()
+        assert (
+            rows_of(again / "dcam.db")["measurement"] == rows_of(sound / "dcam.db")["measurement"]
+        )
+        assert databases_set_aside(again) == []
+
+
 def test_the_log_of_another_database_takes_nothing_away(state: Path, sound: Path) -> None:
     """A file was put in place, the old one's log stayed: SQLite would write that over the file."""
     with open_store(state / "other") as other:
