@@ -17,6 +17,8 @@ from benchmarks.pair import CONFIG, PAIRS, PairCost, measure_cost
 from daemon.config import load_config
 
 LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless")
+SOAK = "## Soak"
+"""Heading of the page's last section, written by hand from `python -m benchmarks.soak`."""
 COLUMNS = ("ratio", "what", "dcam", "against")
 
 Row = tuple[str, str, str, str]
@@ -36,7 +38,14 @@ def main() -> None:
     text = page(pair, accuracies, memory)
     print(text)
     if options.output:
-        options.output.write_text(text, encoding="utf-8")
+        options.output.write_text(text + soak_section(options.output), encoding="utf-8")
+
+
+def soak_section(path: Path) -> str:
+    """Give what the page says of the soak, which takes too long to be run each time."""
+    old = path.read_text(encoding="utf-8") if path.exists() else ""
+    begin = old.find(SOAK)
+    return "\n" + old[begin:] if begin >= 0 else ""
 
 
 def page(pair: PairCost, accuracies: tuple[Accuracy, ...], memory: MemoryUse) -> str:
