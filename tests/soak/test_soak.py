@@ -1,4 +1,4 @@
-"""Three days of slots with a power failure in them; the whole soak is `python -m benchmarks.soak`."""
+"""Three days of slots with a power failure; the whole soak is `python -m benchmarks.soak`."""
 
 import tempfile
 from pathlib import Path
