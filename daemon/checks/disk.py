@@ -12,11 +12,14 @@ from time import monotonic
 from daemon.checks.finding import Finding, failed, unless
 from daemon.checks.usb import frame_bytes
 from daemon.config import Config
+from daemon.store.database import open_store_readonly
 from daemon.store.durable import write_durable
+from daemon.store.errors import StoreError
+from daemon.store.records import Thinning
 from daemon.wording import bytes_text
 
 DAY_S = 86_400
-WEEK_DAYS = 7.0
+YEAR_DAYS = 365.0
 SLOW_SHARE = 0.1
 """Of a period: a disk that takes longer for a slot's frames leaves no room for a bad moment."""
 TRIES = 3
@@ -30,13 +33,43 @@ def slot_bytes(config: Config) -> int:
 
 
 def check_room(config: Config, state: Path) -> Finding:
-    """Free space, in days of frames."""
+    """Free space against what the configured retention will keep."""
     there = next(path for path in (state, *state.parents) if path.is_dir())
-    free = shutil.disk_usage(there).free
-    days = free / (slot_bytes(config) * DAY_S / config.schedule.period_s)
-    text = f"{bytes_text(free)} free, at least {days:.3g} days of frames"
-    cure = "free some space, or put [storage] directory on a larger disk"
-    return unless(days >= WEEK_DAYS, "disk", text, cure)
+    rules = config.retention.rules()
+    room = max(shutil.disk_usage(there).free + _kept_bytes(state) - rules.min_free_bytes, 0.0)
+    wanted = min(retention_bytes(config), rules.max_bytes)
+    days = room / (slot_bytes(config) * DAY_S / config.schedule.period_s)
+    text = f"room for {bytes_text(room)} of frames, [retention] keeps at most {bytes_text(wanted)}"
+    cure = (
+        f"frames go sooner than it says, every slot's after {days:.2g} days if nothing else is"
+        " kept; free some space, put [storage] directory on a larger disk, or ask for less"
+    )
+    return unless(room >= wanted, "disk", text, cure)
+
+
+def retention_bytes(config: Config) -> float:
+    """Give what the rules keep in their first year (or up to frames_days, if that is less)."""
+    rules = config.retention.rules()
+    per_day = {
+        Thinning.EVERY_SLOT: DAY_S / config.schedule.period_s,
+        Thinning.HOURLY: min(24.0, DAY_S / config.schedule.period_s),
+        Thinning.DAILY: 1.0,
+    }
+    slots, since = 0.0, 0.0
+    for level, slots_a_day in per_day.items():
+        until = min(rules.limit_days(level), YEAR_DAYS)
+        slots += max(until - since, 0.0) * slots_a_day
+        since = max(until, since)
+    return slots * slot_bytes(config)
+
+
+def _kept_bytes(state: Path) -> int:
+    """What the frames take already, as last counted; without a database there are none."""
+    try:
+        with open_store_readonly(state) as store:
+            return sum(day.bytes for day in store.frame_days())
+    except StoreError:
+        return 0
 
 
 def check_speed(config: Config, state: Path) -> Iterator[Finding]:

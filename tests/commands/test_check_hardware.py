@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pwd
+import shutil
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -269,6 +270,21 @@ def test_a_disk_too_slow_for_the_period_is_told(
     state, text = check(f"{SIMULATED}\n[schedule]\nperiod_s = 5\n")[1]["disk speed"]
     assert state == "warning"
     assert "1 s to store a slot's frames for good, of 5 s: an SSD" in text
+
+
+def test_room_is_held_against_the_retention(
+    check, computer: Computer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A slot has 0.512 MB; 2 days of 1440, 8 of 24 and 355 of one are 3427 of them: 1.75 GB."""
+    retention = f"{SIMULATED}\n[retention]\nevery_slot_days = 2\nhourly_days = 10\n"
+    for free_gb, state in ((6.7, "warning"), (6.8, "ok")):
+        usage = shutil._ntuple_diskusage(10**12, 0, int(free_gb * 1e9))
+        monkeypatch.setattr("daemon.checks.disk.shutil.disk_usage", lambda _path, u=usage: u)
+        found = check(f"{retention}min_free_gb = 5.0\n")[1]["disk"]
+        assert found[0] == state
+        assert "[retention] keeps at most 1.75 GB" in found[1]
+    assert check(f"{retention}frames_days = 1\n")[1]["disk"][1].endswith("at most 737 MB")
+    assert check(f"{retention}frames_max_gb = 0.5\n")[1]["disk"][1].endswith("at most 500 MB")
 
 
 def test_trying_the_disk_leaves_nothing_behind(check, computer: Computer, tmp_path: Path) -> None:
