@@ -14,6 +14,7 @@ import cv2
 from benchmarks.accuracy import FRAMES, SLOW_FRAMES, Accuracy, measure_accuracy
 from benchmarks.memory import SETTLED_AT, MemoryUse, measure_memory
 from benchmarks.pair import CONFIG, PAIRS, PairCost, measure_cost
+from benchmarks.status import SLOTS, StatusCost, measure_status
 from daemon.config import load_config
 
 LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless")
@@ -31,11 +32,11 @@ def main() -> None:
     parser.add_argument("--output", type=Path, metavar="FILE", help="Markdown page to write")
     parser.add_argument("--slots", type=int, default=1000, help="slots of the memory run")
     options = parser.parse_args()
-    memory = measure_memory(options.slots)
+    memory, status = measure_memory(options.slots), measure_status()
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     cv2.setNumThreads(1)
     pair, accuracies = measure_cost(), measure_accuracy(load_config(CONFIG).site())
-    text = page(pair, accuracies, memory)
+    text = page(pair, accuracies, memory, status)
     print(text)
     if options.output:
         options.output.write_text(text + soak_section(options.output), encoding="utf-8")
@@ -48,10 +49,12 @@ def soak_section(path: Path) -> str:
     return "\n" + old[begin:] if begin >= 0 else ""
 
 
-def page(pair: PairCost, accuracies: tuple[Accuracy, ...], memory: MemoryUse) -> str:
+def page(
+    pair: PairCost, accuracies: tuple[Accuracy, ...], memory: MemoryUse, status: StatusCost
+) -> str:
     """Write the results as one Markdown page."""
     rows = [row for accuracy in accuracies for row in accuracy_rows(accuracy)]
-    rows += [*time_rows(pair, accuracies[0]), memory_row(memory)]
+    rows += [*time_rows(pair, accuracies[0]), memory_row(memory), status_row(status)]
     table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
     libraries = ", ".join(f"{name} {version(name)}" for name in LIBRARIES)
     return f"""# Benchmarks
@@ -130,6 +133,18 @@ def time_rows(pair: PairCost, result: Accuracy) -> Iterator[Row]:
             f"time of corner fit and pose: `cornerSubPix`, window {half}, `solvePnP`, same corners"
         )
         yield row(what, result.fit_s, seconds, ms)
+
+
+def status_row(status: StatusCost) -> Row:
+    """A monitoring system's question against a process that does nothing."""
+    ratio = status.status_s / status.nothing_s
+    what = f"time of `dcam-ctl status`, {SLOTS} slots: `python -c pass`"
+    return (
+        f"{ratio:.1f}",
+        what,
+        f"{1e3 * status.status_s:.0f} ms",
+        f"{1e3 * status.nothing_s:.0f} ms",
+    )
 
 
 def memory_row(memory: MemoryUse) -> Row:
