@@ -446,7 +446,7 @@ def test_a_copied_state_can_be_read_without_its_config(site: Site, ctl: Ctl) -> 
 def test_status_loads_no_numerics_no_orm_and_no_logger(site: Site) -> None:
     """A monitoring system asks every minute: it shall not wait for what only a slot needs."""
     program = (
-        "import sys; from daemon.ctl import main; code = main(); "
+        "import sys; from daemon import ctl; code = ctl.run(ctl.cli, 'dcam-ctl'); "
         "print(*sorted({name.partition('.')[0] for name in sys.modules}), file=sys.stderr); "
         "sys.exit(code)"
     )
