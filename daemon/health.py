@@ -13,6 +13,8 @@ from pathlib import Path
 
 from core.misfit import WINDOW, lasting_misfit, misfit
 from daemon.config import Config
+from daemon.disk.outlook import Archive, days_until_short
+from daemon.disk.told import KEPT_AGAIN, NOT_KEPT
 from daemon.lock import LOCK_NAME
 from daemon.machine import read_boot_id, uptime_s
 from daemon.run_state import RunState, is_alive, read_run_state, runtime_directory
@@ -41,8 +43,16 @@ class Disk:
 
     free_bytes: int
     total_bytes: int
+    archive_days: int
+    """Days with frames, as far as they have been counted."""
+    archive_bytes: int
+    """What they take; the newest day as of its last hour."""
+    frames_fit: bool | None
+    """Whether what `[retention]` keeps by age fits for ever; None as long as no pair was kept."""
     days_left: float | None
-    """At the size of the last slot's frames, one a period; None as long as there are none."""
+    """Until frames are thinned sooner than their age says; None where that never comes."""
+    frames_refused: str | None
+    """Since when frames are not kept, and why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +132,7 @@ def look(config: Config, state: Path, now_utc: datetime) -> Facts:
             coverage_30d=_coverage(config, overview, accounted, now_utc, MONTH),
             gaps=tuple(overview.gaps(now_utc - MONTH, now_utc)),
             daemon=_daemon(overview, state, now_utc),
-            disk=_disk(state, last, config.schedule.period_s),
+            disk=_disk(config, overview, state, last),
             damage_noted=note.why if note else None,
             set_aside=tuple(path.name for path in databases_set_aside(state)),
             frames_not_kept_24h=overview.rows_without_frames(now_utc - DAY, now_utc),
@@ -210,14 +220,23 @@ def _mark_time(overview: Overview, mark: Mark) -> datetime | None:
     return None if text is None else datetime.fromisoformat(text).replace(microsecond=0)
 
 
-def _disk(state: Path, last: MeasurementRecord | None, period_s: int) -> Disk:
+def _disk(config: Config, overview: Overview, state: Path, last: MeasurementRecord | None) -> Disk:
     usage = shutil.disk_usage(state)
-    pair_bytes = sum(_sizes(state, last))
-    bytes_per_day = pair_bytes * DAY.total_seconds() / period_s
+    slots_a_day = DAY.total_seconds() / config.schedule.period_s
+    day_bytes = sum(_sizes(state, last)) * slots_a_day
+    archive, days_left = Archive(*overview.archive_size()), None
+    if day_bytes:
+        rules = config.retention.rules()
+        days_left = days_until_short(rules, archive, day_bytes, slots_a_day, usage.free)
+    refused = overview.last_event(NOT_KEPT, KEPT_AGAIN)
     return Disk(
         free_bytes=usage.free,
         total_bytes=usage.total,
-        days_left=usage.free / bytes_per_day if bytes_per_day else None,
+        archive_days=archive.days,
+        archive_bytes=archive.bytes,
+        frames_fit=days_left is None if day_bytes else None,
+        days_left=days_left,
+        frames_refused=refused[2] if refused and refused[0] == NOT_KEPT else None,
     )
 
 

@@ -19,7 +19,6 @@ STALE_GOOD_S, LOST_GOOD_S = 2 * 3600.0, 24 * 3600.0
 LOW_COVERAGE, LOST_COVERAGE = 0.95, 0.5
 DRIFTING = 1.5
 """Residuals of the corners over their level at calibration, the median of many rows."""
-LOW_DISK_DAYS, FULL_DISK_DAYS = 7.0, 1.0
 LOW_DISK_BYTES, FULL_DISK_BYTES = 1e9, 200e6
 """Free space that is too little whatever the rate: the database needs room as well."""
 LOW_DISK_SHARE = 0.05
@@ -218,15 +217,22 @@ def _gaps(facts: Facts) -> Item:
 
 
 def _disk(disk: Disk) -> Item:
+    """Retention keeps the frames within the disk: only what leaves rows no room is an alarm."""
     text = f"{bytes_text(disk.free_bytes)} of {bytes_text(disk.total_bytes)} free"
-    if disk.days_left is None:
-        low, full = disk.free_bytes < LOW_DISK_SHARE * disk.total_bytes, False
-    else:
-        text += f", {disk.days_left:.0f} days at the present rate"
-        low, full = disk.days_left < LOW_DISK_DAYS, disk.days_left < FULL_DISK_DAYS
-    if full or disk.free_bytes < FULL_DISK_BYTES:
+    if disk.archive_days:
+        text += f", frames of {disk.archive_days} day(s) take {bytes_text(disk.archive_bytes)}"
+    if disk.frames_fit:
+        text += ", all that retention keeps has room"
+    elif disk.days_left:
+        text += f", {disk.days_left:.0f} day(s) until frames are thinned before their time"
+    elif disk.days_left == 0:
+        text += ", frames are thinned before their time"
+    low = disk.free_bytes < LOW_DISK_BYTES
+    if disk.frames_fit is None:
+        low = low or disk.free_bytes < LOW_DISK_SHARE * disk.total_bytes
+    if disk.free_bytes < FULL_DISK_BYTES:
         return Item("disk", Level.CRITICAL, f"{text}: free some space")
-    if low or disk.free_bytes < LOW_DISK_BYTES:
+    if low:
         return Item("disk", Level.WARNING, f"{text}: free some space")
     return Item("disk", Level.OK, text)
 
@@ -248,6 +254,9 @@ def _database(facts: Facts) -> Item:
 def _frames(facts: Facts) -> Item:
     """Rows whose frames found no room are measured, but can never be measured again."""
     count = facts.frames_not_kept_24h
+    if facts.disk.frames_refused is not None:
+        text = f"not kept {facts.disk.frames_refused}; rows go on, {count} without frames in 24 h"
+        return Item("frames", Level.WARNING, text)
     if not count:
         return Item("frames", Level.OK, "all kept in 24 h")
     text = f"{count} row(s) in 24 h without their frames; journalctl -u dcamd tells why"

@@ -18,6 +18,7 @@ import structlog
 from daemon.disk.reserve import Reserve
 from daemon.disk.retention import Retention
 from daemon.disk.rules import Rules
+from daemon.disk.told import KEPT_AGAIN, NOT_KEPT, RESERVE_BACK, RESERVE_GONE
 from daemon.store.database import Store
 from daemon.store.errors import ArchiveError, DiskFullError, StoreError
 from daemon.store.frames import FrameArchive
@@ -26,9 +27,6 @@ from daemon.store.times import slot_text
 from drivers.protocols import Clock
 
 _log = structlog.get_logger("dcam.daemon")
-
-NOT_KEPT, KEPT_AGAIN = "frames_not_kept", "frames_kept_again"
-RESERVE_GONE, RESERVE_BACK = "reserve_given_up", "reserve_made"
 
 STEP_S = 1.0
 """The longest that a step between two slots may take."""

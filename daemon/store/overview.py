@@ -223,6 +223,25 @@ class Overview:
         query = "SELECT count(*) FROM event WHERE time_utc >= ? AND kind = ?"
         return int(self._value(query, instant_text(since), kind))
 
+    def last_event(self, *kinds: str) -> tuple[str, datetime, str] | None:
+        """Kind, time and detail of the newest event of some kinds."""
+        places = ", ".join("?" * len(kinds))
+        query = (
+            f"SELECT kind, time_utc, detail FROM event WHERE kind IN ({places})"  # noqa: S608
+            " ORDER BY id DESC LIMIT 1"
+        )
+        found = self._all(query, *kinds)
+        if not found:
+            return None
+        kind, time_utc, detail = found[0]
+        return str(kind), datetime.fromisoformat(time_utc), str(detail)
+
+    def archive_size(self) -> tuple[int, int]:
+        """Days with frames, and bytes of them, as last counted."""
+        query = "SELECT count(*), coalesce(sum(bytes), 0) FROM frame_day WHERE bytes > 0"
+        days, size = self._all(query)[0]
+        return int(days), int(size)
+
     def mark(self, mark: Mark) -> str | None:
         """A mark's value, None if not set."""
         found = self._value("SELECT value FROM mark WHERE name = ?", mark.value)

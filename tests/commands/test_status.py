@@ -11,7 +11,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import closing
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -25,7 +25,7 @@ from daemon.lock import sole_writer
 from daemon.machine import read_boot_id, uptime_s
 from daemon.run_state import LastSlot, LostCamera, RunState, write_run_state
 from daemon.store.database import Store, open_store
-from daemon.store.records import CalibrationRecord, GapCause, Mark, MeasurementRecord
+from daemon.store.records import CalibrationRecord, FrameDay, GapCause, Mark, MeasurementRecord
 from tests.commands.conftest import SIMULATED, Ctl, Ran
 
 START = datetime(2026, 3, 1, tzinfo=UTC)
@@ -292,6 +292,26 @@ def test_a_nearly_full_disk_is_noticed_before_any_pair_is_kept(
     usage = SimpleNamespace(free=int(free_bytes), total=int(total_bytes))
     monkeypatch.setattr("daemon.health.shutil.disk_usage", lambda _path: usage)
     assert site.levels(site.status())["disk"] == level
+
+
+def test_frames_that_are_not_kept_are_told_until_they_are_again(site: Site) -> None:
+    site.measure(2)
+    why = "from slot 2026-03-01T00:02:00Z: the disk is full"
+    site.write(lambda store: store.add_event(site.end, "frames_not_kept", why))
+    ran = site.status()
+    assert site.levels(ran)["frames"] == "warning"
+    assert "not kept from slot 2026-03-01T00:02:00Z: the disk is full" in ran.out
+    site.write(lambda store: store.add_event(site.end, "frames_kept_again", "from slot x"))
+    assert site.levels(site.status())["frames"] == "ok"
+
+
+def test_the_size_of_the_archive_is_told_without_walking_it(site: Site) -> None:
+    for number in (1, 2):
+        day = FrameDay(date(2026, 2, number), bytes=3_000_000_000)
+        site.write(lambda store, day=day: store.put_frame_day(day))
+    ran = site.status()
+    assert "frames of 2 day(s) take 6 GB" in ran.out
+    assert json.loads(ran.out)["disk"]["archive_bytes"] == 6_000_000_000
 
 
 def test_rows_that_could_not_keep_their_frames_are_a_warning_for_a_day(site: Site) -> None:

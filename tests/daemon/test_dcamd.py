@@ -238,6 +238,27 @@ def test_small_disk_costs_the_frames_and_no_row(site: Site) -> None:
     assert result.stderr.count("event=frames_not_kept") == 1
 
 
+def test_days_of_slots_stay_within_the_rules(site: Site) -> None:
+    """Four slots a day for a week: all of the last day, one of the one before, no older ones."""
+    site.configure(
+        "[schedule]\nperiod_s = 21600\n"
+        "[retention]\nevery_slot_days = 1\nhourly_days = 1\nframes_days = 2\n"
+        "min_free_gb = 0.0\nreserve_mb = 0\n"
+    )
+    assert site.run("--max-slots", "28").returncode == 0
+    days = sorted((site.state / "frames").glob("*/*/*"))
+    counts = [len(list(day.glob("*_main.png"))) for day in days]
+    # The first day is kept at its start, the last pairs by their age.
+    assert counts[-2:] == [1, 4]
+    assert sum(counts[:-2]) <= 2
+    with site.store() as store:
+        rows = list(store.measurements())
+        assert len(rows) == 28
+        gone = [row for row in rows if not (site.state / str(row.main_frame)).exists()]
+        assert len(gone) == 28 - sum(counts)
+        assert all(store.frames_removed(row.slot_utc) for row in gone)
+
+
 STEPS = {
     "main frame written": r"/\.\d+_main\.png\.tmp",
     "sub frame written": r"/\.\d+_sub\.png\.tmp",
