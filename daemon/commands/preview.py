@@ -37,13 +37,16 @@ def command(options: Options, port: int, interval_s: float, looks: int | None) -
 
     One line a look on the terminal, and a page with the pictures on this machine's loopback
     address; from elsewhere look through an SSH tunnel. Nothing is recorded. A running dcamd pauses
-    meanwhile, its slots are a gap `calibration`, and goes on by itself.
+    meanwhile, its slots are a gap `calibration`, and goes on by itself. With `[exposure] mode =
+    "auto"` exposure follows the light from look to look.
     """
+    from daemon.exposure import loop_of
     from daemon.preview.look import Look, look_at
     from daemon.preview.server import Shown, serving
 
     config = options.config
     clock, site = open_clock(config), config.site()
+    loop = loop_of(config)
     shown = Shown(config.name)
     best: dict[Role, float] = {"main": 0.0, "sub": 0.0}
 
@@ -68,7 +71,10 @@ def command(options: Options, port: int, interval_s: float, looks: int | None) -
             taken += 1
             slot_utc = clock.now_utc().replace(microsecond=0)
             try:
-                look = look_at(source.capture(slot_utc), site, clock.now_utc())
+                pair = source.capture(slot_utc)
+                look = look_at(pair, site, clock.now_utc())
+                if loop is not None:
+                    loop.follow(source, [pair])
             except DeviceError as error:
                 shown.tell(str(error))
                 say(f"no pair: {error}")

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -135,6 +136,21 @@ def test_what_is_no_change_of_light_changes_no_exposure(tmp_path: Path, calibrat
     assert set(exposures(rows[:6])) == {(5000.0, 0.0)}
     assert all((exposure_us or 0.0) > 2500.0 for exposure_us, _ in exposures(rows))
     assert [row.measurement.flag for row in rows[-2:]] == [Flag.GOOD] * 2
+
+
+def test_a_preview_follows_the_light(tmp_path: Path, calibrated: Path, ctl: Ctl) -> None:
+    """From a start ten times too short, look by look."""
+    pier = Pier(tmp_path, calibrated, "auto", "")
+    pier.toml.write_text(pier.toml.read_text() + "main_us = 500.0\nsub_us = 500.0\n")
+    ran = ctl(
+        *("--config", pier.toml, "--state", pier.state),
+        *("preview", "--port", 0, "--looks", 4, "--interval", 0.1),
+    )
+    assert ran.code == 0, ran.err
+    brightest = [re.findall(r"brightest (\d+)%", line) for line in ran.out.splitlines()]
+    assert len(brightest) == 4
+    assert all(int(share) < 15 for share in brightest[0])
+    assert all(60 < int(share) < 95 for share in brightest[-1])
 
 
 def test_capture_settles_the_light_first(tmp_path: Path, calibrated: Path, ctl: Ctl) -> None:
