@@ -13,7 +13,7 @@ import structlog
 from daemon.absence import Absence, absence_text, read_absence, why_absent
 from daemon.holes import account_for_lost, note_schedule
 from daemon.pipeline import Pipeline, record_late
-from daemon.redating import finish_moves
+from daemon.redating import finish_moves, mend_undated
 from daemon.schedule import SECOND, Schedule
 from daemon.store.database import Store
 from daemon.store.errors import StoreError
@@ -40,6 +40,7 @@ def recover(line: Pipeline, schedule: Schedule) -> datetime | None:
     last_row = line.store.last_slot()
     since = EPOCH if last_row is None else last_row - LOOK_BACK
     line.archive.mend(since)
+    mend_undated(line)
     measure_orphans(line, since)
     account_for_lost(line)
     # Late rows take their time; what was missed meanwhile has the same cause.

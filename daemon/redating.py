@@ -142,6 +142,12 @@ def redate(
     return Redated(results.count(True), moved, len(waiting) + results.count(False))
 
 
+def mend_undated(line: Pipeline) -> None:
+    """After a crash: bring the archives of undated pairs in order. Raises StoreError."""
+    for directory in sorted((line.archive.state / UNDATED).glob("*/")):
+        FrameArchive(directory).mend()
+
+
 def finish_moves(line: Pipeline, since: datetime) -> set[datetime]:
     """Clear the places of frames whose row has moved, where a cut kept that from being done.
 
