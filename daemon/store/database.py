@@ -61,7 +61,13 @@ from daemon.store.schema import (
     MarkRow,
     MeasurementRow,
 )
-from daemon.store.sqlite import connect, connect_readonly, database_exists, said_plainly
+from daemon.store.sqlite import (
+    connect,
+    connect_readonly,
+    database_exists,
+    said_plainly,
+    undo_half_made,
+)
 from daemon.store.times import slot_text
 
 ALWAYS = datetime(1, 1, 1, tzinfo=UTC)
@@ -86,6 +92,7 @@ def open_store(
     Raises DatabaseMissingError, DatabaseDamagedError, DatabaseNewerError, DatabaseOlderError.
     """
     path = directory / FILE_NAME
+    undo_half_made(path)
     exists = database_exists(path)
     if not exists and not create:
         raise DatabaseMissingError(missing(path))
@@ -522,11 +529,6 @@ class Store:
                 yield
         except DatabaseDamagedError as error:
             self.damage = self.damage or error
-            raise
-        except DatabaseUnwritableError:
-            # Connections to a file system that failed never recover, though another may be
-            # mounted in its place by now: the next use opens what is there.
-            self._engine.dispose()
             raise
 
     def _add(self, session: Session, record: MeasurementRecord) -> None:

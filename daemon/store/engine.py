@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,18 +21,8 @@ def make_engine(path: Path, *, readonly: bool = False) -> Engine:
     transaction: SQLite cannot wait for the write lock once a read lock is held. Writers say
     IMMEDIATE.
     """
-    opened = False
-
-    def connection() -> sqlite3.Connection:
-        nonlocal opened
-        if readonly:
-            return connect_readonly(path)
-        # Once it was there it is never made: an empty one, where a disk is not mounted, is none.
-        made = connect(path, create=not opened)
-        opened = True
-        return made
-
-    engine = create_engine("sqlite://", creator=connection, poolclass=QueuePool)
+    opener = connect_readonly if readonly else connect
+    engine = create_engine("sqlite://", creator=lambda: opener(path), poolclass=QueuePool)
 
     def begin(connection: Connection) -> None:
         mode = connection.get_execution_options().get("dcam_begin", "DEFERRED")

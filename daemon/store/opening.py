@@ -16,6 +16,7 @@ from daemon.store.errors import DatabaseUnwritableError
 from daemon.store.frames import FOLDER
 from daemon.store.overview import FILE_NAME
 from daemon.store.salvage import Tell, salvage
+from daemon.store.sqlite import undo_half_made
 
 _log = structlog.get_logger("dcam.daemon")
 
@@ -30,6 +31,7 @@ def open_checked_store(
     failing.
     """
     path = directory / FILE_NAME
+    undo_half_made(path)
     try:
         note = read_note(directory)
         why = note.why if note and note.aside else _damage(path, note)

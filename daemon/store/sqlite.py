@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 from daemon.store.damage_note import read_note
@@ -38,7 +38,7 @@ _BUSY = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_PROTOCOL}
 _UNWRITABLE = {sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN}
 
 
-def connect(path: Path, *, create: bool = True) -> sqlite3.Connection:
+def connect(path: Path) -> sqlite3.Connection:
     """Open for reading and writing, with every commit on the disk before it returns.
 
     `synchronous` is a property of the connection and not of the file, so it is set and read back
@@ -46,11 +46,7 @@ def connect(path: Path, *, create: bool = True) -> sqlite3.Connection:
     file system cannot hold a write-ahead log.
     """
     connection = sqlite3.connect(
-        f"{path.absolute().as_uri()}?mode={'rwc' if create else 'rw'}",
-        uri=True,
-        timeout=BUSY_TIMEOUT_S,
-        isolation_level=None,
-        check_same_thread=False,
+        path, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
     )
     try:
         for name, value, wanted in _PRAGMAS:
@@ -89,6 +85,19 @@ def connect_readonly(path: Path) -> sqlite3.Connection:
     )
     connection.execute("PRAGMA query_only=ON").close()
     return connection
+
+
+def undo_half_made(path: Path) -> None:
+    """Roll back what a cut left of a database's making, before it had a log: no reader may.
+
+    Whatever else is wrong with it, those who read it next find.
+    """
+    if path.is_file() and path.with_name(path.name + "-journal").exists():
+        with (
+            suppress(sqlite3.Error),
+            closing(sqlite3.connect(path, timeout=BUSY_TIMEOUT_S)) as connection,
+        ):
+            connection.execute("PRAGMA user_version").fetchone()
 
 
 def database_exists(path: Path) -> bool:
