@@ -3,27 +3,36 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
+from collections import deque
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 import structlog
 
 from core.results import Reason
 from daemon.absence import absence_text, read_absence
-from daemon.debts import Debts
 from daemon.pause import Pause
-from daemon.pipeline import Missed, Pipeline, run_slot
+from daemon.pipeline import Missed, Pipeline, record_late, run_slot
 from daemon.recovery import mark_finished
 from daemon.redating import Redated, put_right, split_at, undated_archive
 from daemon.reporting import Reporter
 from daemon.schedule import MissedSlots, Schedule
-from daemon.store.errors import StoreError
+from daemon.store.errors import DatabaseDamagedError, StoreError
 from daemon.store.records import GapCause, Mark, MeasurementRecord
 from daemon.store.times import slot_text
 from daemon.supervision import INTERNAL, Circuit
 from drivers.protocols import FramePairSource
 
 _log = structlog.get_logger("dcam.daemon")
+
+
+@dataclass(frozen=True, slots=True)
+class _Owed:
+    """A gap that is to be recorded as soon as the database takes it."""
+
+    missed: MissedSlots
+    cause: GapCause
+    detail: str
 
 
 class SlotRunner:
@@ -49,7 +58,7 @@ class SlotRunner:
         self._circuit = circuit or Circuit()
         self._last = last_utc
         """The last slot that is accounted for, or owed."""
-        self._debts = Debts(line, schedule)
+        self._owed: deque[_Owed] = deque()
         self._seen = self._look_at_clocks()
         self._clock_trouble = ""
         """What was wrong with the wall clock since the last slot."""
@@ -75,7 +84,7 @@ class SlotRunner:
         while not self._stop.is_set() and (max_slots is None or done < max_slots):
             self._require_sound()
             slot = self._next_slot()
-            self._debts.settle()
+            self._settle_debts()
             if not self._line.clock.wait_until(slot, self._stop):
                 break
             self._watch_clock()
@@ -89,7 +98,7 @@ class SlotRunner:
                 self._run(slot)
             self._tend_disk(slot)
             done += 1
-        self._debts.settle()
+        self._settle_debts()
         self._require_sound()
         return done
 
@@ -147,7 +156,7 @@ class SlotRunner:
             self._owe(MissedSlots(slot, slot, 1), outcome.cause, outcome.detail)
         else:
             self._last = slot
-        self._debts.settle()
+        self._settle_debts()
         self._mark_finished(slot, outcome)
         self._end_slot(slot, outcome)
 
@@ -184,12 +193,41 @@ class SlotRunner:
             self._circuit.slot_ended(None)
 
     def _owe(self, missed: MissedSlots, cause: GapCause, detail: str) -> None:
-        self._debts.owe(missed, cause, detail)
+        self._owed.append(_Owed(missed, cause, detail))
         self._last = missed.last_utc
+
+    def _settle_debts(self) -> None:
+        """Record the gaps that are owed; a pair kept without its row is measured instead."""
+        while self._owed:
+            owed = self._owed[0]
+            try:
+                self._settle(owed)
+            except DatabaseDamagedError:
+                raise
+            except StoreError as error:
+                _log.error("gap_not_recorded", cause=owed.cause.value, error=str(error))
+                return
+            self._owed.popleft()
+
+    def _settle(self, owed: _Owed) -> None:
+        line, missed = self._line, owed.missed
+        until = missed.last_utc + timedelta(seconds=1)
+        for slot in line.archive.orphans(
+            line.store.measured_slots(missed.first_utc, until), missed.first_utc
+        ):
+            if slot < until:
+                record_late(line, slot)
+        line.store.record_gap(
+            missed.first_utc,
+            missed.last_utc,
+            owed.cause,
+            owed.detail,
+            period_s=self._schedule.period_s,
+        )
 
     def _mark_finished(self, slot: datetime, outcome: MeasurementRecord | Missed) -> None:
         cause = outcome.cause if isinstance(outcome, Missed) else None
-        if not self._debts.are_settled:
+        if self._owed:
             return
         try:
             mark_finished(self._line.store, slot)

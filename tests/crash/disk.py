@@ -26,7 +26,7 @@ class Operation:
     """One thing done to the disk, by inode numbers; what a field does not apply to is empty."""
 
     kind: str
-    """create, mkdir, rename, unlink, write, truncate, sync or mark."""
+    """create, mkdir, link, rename, unlink, write, truncate, sync or mark."""
     inode: int = 0
     parent: int = 0
     name: str = ""
@@ -82,6 +82,8 @@ class Disk:
             case "create" | "mkdir":
                 made = _File() if operation.kind == "create" else _Directory()
                 self._inodes[operation.inode] = made
+                self._directory(operation.parent).pending.append({operation.name: operation.inode})
+            case "link":
                 self._directory(operation.parent).pending.append({operation.name: operation.inode})
             case "rename" if operation.parent == operation.new_parent:
                 change = {operation.name: None, operation.new_name: operation.inode}
@@ -160,6 +162,14 @@ def put(tree: Tree, directory: Path) -> None:
             (directory / path).mkdir()
         else:
             (directory / path).write_bytes(content)
+
+
+def read_tree(directory: Path) -> Tree:
+    """What a directory holds."""
+    return {
+        path.relative_to(directory).as_posix(): path.read_bytes() if path.is_file() else None
+        for path in sorted(directory.rglob("*"))
+    }
 
 
 def _all_names(directory: _Directory) -> dict[str, int]:

@@ -168,6 +168,12 @@ def _serve(mount_point: str) -> None:
             self.log.append(Operation("unlink", node.number, parent.number, name))
             return 0
 
+        def link(self, target: str, source: str) -> int:
+            (parent, name), node = self._parent(target), self._find(source)
+            parent.names[name] = node
+            self.log.append(Operation("link", node.number, parent.number, name))
+            return 0
+
         def rmdir(self, path: str) -> int:
             if self._find(path).names:
                 raise refuse(errno.ENOTEMPTY)

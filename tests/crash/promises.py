@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import json
 import sqlite3
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -13,6 +14,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+from daemon.store.damage_note import SET_ASIDE
 from daemon.store.database import FILE_NAME
 from tests.crash.station import PERIOD_S, daemon, heard
 
@@ -32,6 +34,8 @@ class Promises:
     """Acknowledged."""
     files: Mapping[str, bytes] = field(default_factory=dict)
     """The frames of these rows."""
+    pictures: frozenset[bytes] = frozenset()
+    """Frames of rows whose slots may still change."""
     gaps: Mapping[datetime, str] = field(default_factory=dict)
     """Cause of each slot that has been told to be missed."""
     events: frozenset[Row] = frozenset()
@@ -40,6 +44,8 @@ class Promises:
     """The one in use, 0 without."""
     absence: frozenset[str] = frozenset({"power_loss"})
     """What a gap from now on may truly be put down to."""
+    damaged: bool = False
+    """The database was damaged by more than a cut."""
     backups: Mapping[str, frozenset[datetime]] = field(default_factory=dict)
     """Slots in each copy of the database."""
 
@@ -108,12 +114,17 @@ def _not_kept(
     for path, content in promised.files.items():
         if not (state / path).exists() or (state / path).read_bytes() != content:
             yield f"acknowledged frame {path} is lost or another"
+    missing = len(promised.pictures - set(_pictures(state)))
+    if missing:
+        yield f"{missing} acknowledged frames are nowhere that a row names"
     yield from _check_slots(promised, finished, now, now_utc)
     yield from _check_history(state, promised, finished, now)
     yield from _check_frames(state, now)
     for name, slots in promised.backups.items():
         if not slots <= read_database(state.parent / name).rows.keys():
             yield f"backup {name} has not all rows"
+    if not promised.damaged:
+        yield from (f"{path.name}: a sound database" for path in state.glob(f"{SET_ASIDE}*"))
     for left_over in state.rglob(".*"):
         yield f"{left_over.name} was left lying"
 
@@ -156,7 +167,13 @@ def _check_history(
 
 
 def _check_frames(state: Path, now: Finished) -> Iterator[str]:
-    """Every pair has a row; every line of a table names images that are those it tells of."""
+    """Every pair has a row; every line of a table names images that are those it tells of.
+
+    But for the pair that was on its way to its true slot, and is still in its old place as well.
+    """
+    with closing(sqlite3.connect(state / FILE_NAME)) as connection:
+        query = "SELECT value FROM mark WHERE name = 'moving_to_utc'"
+        moving = {datetime.fromisoformat(slot) for (slot,) in connection.execute(query)}
     for table in state.glob("frames/*/*/*/frames.csv"):
         images = {path.name for path in table.parent.glob("*.png")}
         for line in csv.DictReader(table.read_text().splitlines()):
@@ -167,10 +184,20 @@ def _check_frames(state: Path, now: Finished) -> Iterator[str]:
                     yield f"{table}: {line[role]} is not there"
                 elif hashlib.sha256(image.read_bytes()).hexdigest() != line[f"sha256_{role}"]:
                     yield f"{table}: {line[role]} is another"
-            if datetime.fromisoformat(line["slot_utc"]) not in now.rows:
+            if datetime.fromisoformat(line["slot_utc"]) not in now.rows.keys() | moving:
                 yield f"{table}: slot {line['slot_utc']} has frames, but no row"
         pairs = Counter(name.rpartition("_")[0] for name in images)
         yield from (f"{table}: pair {stem} has no line" for stem in pairs if pairs[stem] == 2)
+
+
+def _pictures(state: Path) -> Iterator[bytes]:
+    """The frames that rows name, those without a slot yet among them."""
+    with closing(sqlite3.connect(state / FILE_NAME)) as connection:
+        named = connection.execute("SELECT main_frame, sub_frame FROM measurement").fetchall()
+        for (content,) in connection.execute("SELECT content FROM undated"):
+            named.append([json.loads(content)[f"{role}_frame"] for role in ("main", "sub")])
+    for names in named:
+        yield from ((state / name).read_bytes() for name in names if name)
 
 
 def _check_database(path: Path) -> Iterator[str]:

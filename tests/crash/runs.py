@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Callable
-from datetime import UTC, datetime
+from contextlib import closing
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from alembic import command
 
-from daemon.recovery import mark_stop
+from daemon.disk.rules import Rules
+from daemon.pipeline import record_late
+from daemon.recovery import mark_finished, mark_stop
+from daemon.store.database import FILE_NAME
 from daemon.store.engine import make_engine
 from daemon.store.migrate import alembic_config
+from daemon.store.records import GapCause
 from daemon.store.times import slot_text
 from drivers.errors import DeviceLostError
-from tests.crash.disk import Tree
-from tests.crash.promises import STEP, Promises
+from tests.crash.disk import Tree, read_tree
+from tests.crash.promises import STEP, Promises, read_database
 from tests.crash.recording import STATE, Run, Scribe
-from tests.crash.station import daemon
+from tests.crash.station import PERIOD_S, daemon, heard
 from tests.store.examples import calibration
 
 START = datetime(2026, 3, 1, 23, 57, 30, tzinfo=UTC)
 FIRST = START + STEP / 2
 POWER_LOSS = frozenset({"power_loss"})
 STOPPED = frozenset({"stopped"})
+SHRINKING = Rules(every_slot_days=1, hourly_days=2, frames_days=3, min_free_gb=0.0, reserve_mb=0)
 
 
 def two_days(scribe: Scribe) -> datetime:
@@ -65,6 +73,76 @@ def two_slots(scribe: Scribe) -> datetime:
     with daemon(scribe.state, START, "boot-1") as (station, runner):
         scribe.tell(first_slot_utc=scribe.promises[0].first_slot_utc or FIRST)
         runner.run(2)
+        return station.clock.now_utc()
+
+
+def wrong_clock(scribe: Scribe) -> datetime:
+    """Two slots; the power fails; the clock wakes a year back, and is put right two slots later."""
+    two_slots(scribe)
+    past = timedelta(days=365)
+
+    def ntp() -> None:
+        station.clock.set_utc(station.clock.now_utc() + past)
+        station.synchronised = True
+
+    scribe.clock_is_wrong = True
+    scribe.tell(absence=POWER_LOSS | {"clock_wrong"})
+    woken_utc = START + 10 * STEP - past
+    orders = {woken_utc + STEP / 2 + 2 * STEP: ntp}
+    with daemon(scribe.state, woken_utc, "boot-2", orders) as (station, runner):
+        station.synchronised = False
+        runner.run(5)
+        scribe.settled(station.store)
+        return station.clock.now_utc()
+
+
+def ageing(scratch: Path) -> tuple[Tree, Promises]:
+    """A state directory with four slots on each of three days, and a gap between any two."""
+    state = scratch / "ageing" / STATE
+    slots = [
+        FIRST + day * timedelta(days=1) + hour * timedelta(hours=3)
+        for day in range(-3, 0)
+        for hour in range(-4, 0)
+    ]
+    last = FIRST - STEP
+    with heard(lambda _: None), daemon(state, slots[0] - STEP, "boot-0") as (station, _):
+        station.store.record_gap(slots[0], last, GapCause.POWER_LOSS, period_s=PERIOD_S)
+        for slot in slots:
+            station.archive.store(slot, station.source.capture(slot), slot)
+            record_late(station.line, slot)
+        mark_finished(station.store, last)
+    tree = read_tree(state.parent)
+    gaps = read_database(state / FILE_NAME).causes
+    return tree, Promises(slots[0], frozenset(slots), gaps=gaps)
+
+
+def thinning(scribe: Scribe) -> datetime:
+    """Two slots, after each of which the oldest frames go."""
+    with daemon(scribe.state, START, "boot-1", rules=SHRINKING) as (station, runner):
+        runner.run(2)
+        scribe.settled(station.store)
+        return station.clock.now_utc()
+
+
+def damaged(scratch: Path) -> tuple[Tree, Promises]:
+    """The state directory of the older site, of whose database the page of the gaps is lost."""
+    tree, promised = ageing(scratch / "damaged")
+    path = f"{STATE}/{FILE_NAME}"
+    content = tree[path]
+    assert content is not None
+    with closing(sqlite3.connect(scratch / "damaged" / "ageing" / path)) as connection:
+        (page,) = connection.execute(
+            "SELECT rootpage FROM sqlite_master WHERE name = 'ix_event_time_utc'"
+        ).fetchone()
+    lost = content[: 4096 * (page - 1)] + b"\x55" * 4096 + content[4096 * page :]
+    return {**tree, path: lost}, replace(promised, damaged=True)
+
+
+def salvaging(scribe: Scribe) -> datetime:
+    """The start after the damage, and a slot."""
+    with daemon(scribe.state, START, "boot-1") as (station, runner):
+        runner.run(1)
+        scribe.settled(station.store)
         return station.clock.now_utc()
 
 

@@ -6,6 +6,7 @@ be that of its own frames.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from datetime import datetime
@@ -19,12 +20,14 @@ import structlog
 
 from core.results import Displacement, Flag, Measurement
 from daemon import pipeline
+from daemon.disk.rules import Rules
 from daemon.measuring import ImagePair
 from daemon.runner import SlotRunner
 from daemon.store.database import Store
+from daemon.store.opening import open_checked_store
 from drivers.clock import SteppedClock
 from drivers.protocols import CapturedFrame, CapturedPair
-from tests.daemon.conftest import Station
+from tests.daemon.conftest import SMALL, Station
 
 PERIOD_S = 60
 SIZE = (48, 64)
@@ -45,6 +48,9 @@ class SlotSource:
     def close(self) -> None:
         pass
 
+    def set_exposure(self, role: str, exposure_us: float, gain_db: float | None) -> None:
+        pass
+
     def capture(self, slot_utc: datetime) -> CapturedPair:
         self._orders.get(slot_utc, lambda: None)()
         main, sub = (self._frame(slot_utc, role) for role in range(2))
@@ -62,9 +68,12 @@ def daemon(
     now_utc: datetime,
     boot_id: str,
     orders: Mapping[datetime, Callable[[], object]] | None = None,
+    rules: Rules = SMALL,
 ) -> Iterator[tuple[Station, SlotRunner]]:
-    """Open and recover as dcamd does, ready for the first slot."""
-    station = Station(state, PERIOD_S)
+    """Open, check and recover as dcamd does, ready for the first slot."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys.modules[Station.__module__], "open_store", open_checked_store)
+        station = Station(state, PERIOD_S, rules)
     with closing(station.store):
         station.clock = SteppedClock(now_utc)
         station.source = SlotSource(station.clock, orders or {})

@@ -13,7 +13,17 @@ from tests.crash.disk import Tree
 from tests.crash.lossy_fs import LossyMount
 from tests.crash.promises import Promises
 from tests.crash.recording import ABSENCE, CutState, Recording, cut_states, judge, record
-from tests.crash.runs import coming_back, older_database, two_days, two_slots
+from tests.crash.runs import (
+    ageing,
+    coming_back,
+    damaged,
+    older_database,
+    salvaging,
+    thinning,
+    two_days,
+    two_slots,
+    wrong_clock,
+)
 
 Judged = list[tuple[CutState, list[str]]]
 
@@ -24,11 +34,15 @@ def nothing(_: Path) -> tuple[Tree, Promises]:
 
 RUNS = {
     "two days": (two_days, nothing),
+    "a wrong clock": (wrong_clock, nothing),
+    "old frames": (thinning, ageing),
+    "a damaged database": (salvaging, damaged),
     "an older database": (two_slots, older_database),
 }
-TWICE = 6
-"""Recoveries that are cut too, each at so many points."""
-POINTS = 12
+TWICE = 2
+"""Recoveries of each run that are cut too,"""
+POINTS = 8
+"""each at so many points."""
 
 
 @pytest.fixture(scope="module")
