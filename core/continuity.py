@@ -192,11 +192,16 @@ class Continuity:
         return float(np.median(np.diff(times))) if len(times) > 1 else 0.0
 
     def _usual(self, name: str, now: Sample) -> float:
-        """The largest step of the rows so far; after a gap, or across one, their whole range."""
+        """The largest step of the rows so far; after a gap, or across one, their whole range.
+
+        A gap that is longer than the rows so far leaves room for as many times that range.
+        """
         levels = np.array([getattr(row, name) for row in self.history])
         usual = float(np.hypot(*np.diff(levels, axis=0).T).max())
-        if now.time_s - self.history[-1].time_s > _GAP * self._interval_s:
-            usual = max(usual, float(np.hypot(*np.ptp(levels, axis=0))))
+        gap_s = now.time_s - self.history[-1].time_s
+        if gap_s > _GAP * self._interval_s:
+            spans = gap_s / max(self.history[-1].time_s - self.history[0].time_s, 1e-9)
+            usual = max(usual, max(spans, 1.0) * float(np.hypot(*np.ptp(levels, axis=0))))
         return max(usual, float(self.history[-1].sigma_mm.max()))
 
 

@@ -84,6 +84,19 @@ def test_what_moves_as_it_always_did_is_no_slip(kind: Callable[..., Rows], rows:
     assert flagged <= 0.01 * sets
 
 
+@pytest.mark.parametrize("known", [5, 10, 30])
+def test_what_went_on_in_a_gap_longer_than_the_rows_before_is_no_slip(known: int):
+    """Rig and bridge drift against each other, evenly; half an hour of darkness lies between."""
+    state = Continuity()
+    for minute in [*range(known), *range(known + 30, known + 60)]:
+        level = np.array([0.02, 0.05]) * minute
+        now = Sample(
+            60.0 * minute, -level, level, 0.1 * level, np.full(3, SIGMA_MM), 1.0, trusted=True
+        )
+        said, state = state.judge(now, QualityLimits())
+        assert said == ()
+
+
 def test_rows_at_random_are_rarely_taken_for_a_slip():
     rng = np.random.default_rng(4)
     rows = [row for _ in range(300) for row in judged(anywhere(rng, 12), rng, np.zeros(2))]
