@@ -94,11 +94,12 @@ class FrameArchive:
             write_durable(main, main_data)
             try:
                 write_durable(sub, sub_data)
-                row = FrameSetRow(slot_utc, "measure", main.name, sub.name, extra=known)
-                enter(main.parent, row)
             except OSError:
-                _take_back(main, sub)
+                _take_back(main)
                 raise
+            # From here on it is a pair, whatever becomes of its line.
+            row = FrameSetRow(slot_utc, "measure", main.name, sub.name, extra=known)
+            enter(main.parent, row)
         return stored
 
     def load(self, slot_utc: datetime, number: int = 1) -> ArchivedPair:
@@ -192,11 +193,10 @@ class FrameArchive:
                 yield day
 
 
-def _take_back(*paths: Path) -> None:
-    """Remove what was written of a pair that found no room: it would hold some for nothing."""
-    for path in paths:
-        with suppress(OSError):
-            path.unlink(missing_ok=True)
+def _take_back(path: Path) -> None:
+    """Remove the first image of a pair that found no room: it would hold some for nothing."""
+    with suppress(OSError):
+        path.unlink(missing_ok=True)
 
 
 def _extra(
