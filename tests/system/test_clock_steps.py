@@ -74,6 +74,8 @@ class Station:
     def close(self) -> None:
         self._dcamd.kill()
         self._dcamd.wait()
+        for left in Path("/dev/shm").glob(f"*faketime*_{self._dcamd.pid}"):  # where it keeps time
+            left.unlink()
         self._manager.close()
 
 
