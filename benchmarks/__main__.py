@@ -15,7 +15,7 @@ from benchmarks.accuracy import FRAMES, SLOW_FRAMES, Accuracy, measure_accuracy
 from benchmarks.memory import SETTLED_AT, MemoryUse, measure_memory
 from benchmarks.pair import CONFIG, PAIRS, PairCost, measure_cost
 from benchmarks.status import SLOTS, StatusCost, measure_status
-from daemon.config import load_config
+from daemon.config.reading import load_config
 
 LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless")
 SOAK = "## Soak"

@@ -16,7 +16,7 @@ from core.calibration import CalibrationView, ViewRole, calibrate
 from core.frames import GreyImage
 from core.measurement import measure_pair
 from core.site import FloatArray
-from daemon.config import load_config
+from daemon.config.reading import load_config
 from drivers.png import encode_png
 from drivers.protocols import Image
 from drivers.sim.settings import SimSettings

@@ -15,7 +15,8 @@ from typing import Any
 
 from core.results import Measurement
 from core.site import QualityLimits, Site
-from daemon import machine, main, measuring, pipeline
+from daemon import main, measuring, pipeline
+from daemon.clock import machine
 from daemon.measuring import ActiveCalibration, ImagePair
 from daemon.sequence import Sequence, stored_continuity
 from daemon.store.database import Store

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING, Literal, cast
 
-from daemon.config_model import Config
+from daemon.config.model import Config
 from daemon.errors import ConfigError, HardwareError
 from drivers.clock import SteppedClock, SystemClock
 from drivers.pair import SynchronizedPair

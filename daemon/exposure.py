@@ -34,7 +34,7 @@ from daemon.store.records import CameraState
 from drivers.protocols import CapturedFrame, CapturedPair, Clock, FramePairSource, Role
 
 if TYPE_CHECKING:
-    from daemon.config import Config
+    from daemon.config.reading import Config
 
 _log = structlog.get_logger("dcam.daemon")
 

@@ -12,12 +12,13 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from core.misfit import WINDOW, lasting_misfit, misfit
-from daemon.config import Config
+from daemon.clock.machine import read_boot_id, uptime_s
+from daemon.clock.synchronised import clock_is_synchronised
+from daemon.config.reading import Config
 from daemon.disk.outlook import Archive, days_until_short
 from daemon.disk.told import KEPT_AGAIN, NOT_KEPT
 from daemon.lock import LOCK_NAME
-from daemon.machine import read_boot_id, uptime_s
-from daemon.run_state import RunState, is_alive, read_run_state, runtime_directory
+from daemon.operator.run_state import RunState, is_alive, read_run_state, runtime_directory
 from daemon.store.damage_note import databases_set_aside, read_note
 from daemon.store.overview import ActiveCalibrationSummary, Overview, open_overview
 from daemon.store.records import (
@@ -30,7 +31,6 @@ from daemon.store.records import (
     MeasurementRecord,
 )
 from daemon.store.runs import schedule_slots
-from daemon.synchronised import clock_is_synchronised
 
 DAY = timedelta(days=1)
 MONTH = timedelta(days=30)

@@ -10,16 +10,16 @@ from contextlib import closing, contextmanager
 import click
 
 from daemon.commands.options import Options, common_options, pass_options
-from daemon.config import Installation
+from daemon.config.reading import Installation
 from daemon.devices import require_backend
 from daemon.disk.guard import relieve
 from daemon.errors import run
 from daemon.lock import sole_writer
 from daemon.log import configure_log
-from daemon.notify import Notifier
-from daemon.orders import Orders, given_by_signals
-from daemon.reporting import Reporter
-from daemon.run_state import runtime_directory
+from daemon.operator.notify import Notifier
+from daemon.operator.orders import Orders, given_by_signals
+from daemon.operator.reporting import Reporter
+from daemon.operator.run_state import runtime_directory
 from daemon.service import Service, Station
 from daemon.store.database import database_bytes
 from daemon.store.opening import damage_noted, open_checked_store

@@ -15,9 +15,9 @@ import structlog
 from core.results import Measurement
 from core.site import Site
 from daemon.burst import BurstPlan, Shot, take_burst
+from daemon.clock.machine import Machine, this_machine
 from daemon.disk.guard import DiskGuard
 from daemon.exposure import ExposureLoop
-from daemon.machine import Machine, this_machine
 from daemon.measuring import (
     ActiveCalibration,
     ImagePair,

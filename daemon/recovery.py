@@ -10,10 +10,10 @@ from datetime import datetime, timedelta
 
 import structlog
 
-from daemon.absence import Absence, absence_text, read_absence, why_absent
+from daemon.clock.absence import Absence, absence_text, read_absence, why_absent
+from daemon.clock.redating import finish_moves, mend_undated
 from daemon.holes import account_for_lost, note_schedule
 from daemon.pipeline import Pipeline, record_late
-from daemon.redating import finish_moves, mend_undated
 from daemon.schedule import SECOND, Schedule
 from daemon.store.database import Store
 from daemon.store.errors import StoreError

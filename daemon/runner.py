@@ -10,12 +10,12 @@ from datetime import datetime, timedelta
 import structlog
 
 from core.results import Reason
-from daemon.absence import absence_text, read_absence
-from daemon.pause import Pause
+from daemon.clock.absence import absence_text, read_absence
+from daemon.clock.redating import Redated, put_right, split_at, undated_archive
+from daemon.operator.pause import Pause
+from daemon.operator.reporting import Reporter
 from daemon.pipeline import Missed, Pipeline, record_late, run_slot
 from daemon.recovery import mark_finished
-from daemon.redating import Redated, put_right, split_at, undated_archive
-from daemon.reporting import Reporter
 from daemon.schedule import MissedSlots, Schedule
 from daemon.store.errors import DatabaseDamagedError, StoreError
 from daemon.store.records import GapCause, Mark, MeasurementRecord

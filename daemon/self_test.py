@@ -18,7 +18,7 @@ from core.calibration import Method
 from daemon.calibration.run import calibrate_frames, views_in
 from daemon.commands.demo import SITE
 from daemon.commands.reprocess import jobs_in_set
-from daemon.config import load_config
+from daemon.config.reading import load_config
 from daemon.errors import WorkFailedError, report
 from daemon.measuring import ActiveCalibration
 from daemon.version import VERSION

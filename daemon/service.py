@@ -11,22 +11,22 @@ from typing import Any
 import structlog
 
 from daemon.burst import take_burst
-from daemon.config import Installation, load_config
-from daemon.control import Offers, control_socket
+from daemon.clock.machine import simulated_machine, this_machine
+from daemon.config.reading import Installation, load_config
 from daemon.devices import open_clock, open_pair_source, require_backend
 from daemon.disk.guard import DiskGuard
 from daemon.errors import ConfigError, WorkFailedError
 from daemon.exposure import last_known, loop_of
 from daemon.health import has_stepped_clock
 from daemon.log import configure_log
-from daemon.look import look_fields, measure_look, room_for_look
-from daemon.machine import simulated_machine, this_machine
 from daemon.measuring import active_calibration
-from daemon.orders import Orders
-from daemon.pause import Pause
+from daemon.operator.control import Offers, control_socket
+from daemon.operator.look import look_fields, measure_look, room_for_look
+from daemon.operator.orders import Orders
+from daemon.operator.pause import Pause
+from daemon.operator.reporting import Reporter
 from daemon.pipeline import Pipeline
 from daemon.recovery import close_gap, mark_stop, recover
-from daemon.reporting import Reporter
 from daemon.runner import SlotRunner
 from daemon.schedule import Schedule
 from daemon.store.database import Store

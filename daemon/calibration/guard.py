@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from daemon.config import Config, load_config
+from daemon.config.reading import Config, load_config
 from daemon.devices import open_head
 from daemon.errors import HardwareError
 from drivers.errors import DriverError

@@ -18,7 +18,7 @@ from core.calibration import (
 from core.errors import CalibrationError, ImageError
 from core.frames import GreyImage, require_size
 from core.site import CameraGeometry, Site
-from daemon.config import Config
+from daemon.config.reading import Config
 from daemon.store.database import Store
 from daemon.store.records import CalibrationRecord
 from daemon.version import VERSION

@@ -10,8 +10,7 @@ from daemon.checks.computer import check_camera_heat
 from daemon.checks.finding import Finding, failed
 from daemon.checks.network import check_network
 from daemon.checks.usb import check_usb
-from daemon.config import Config, Installation
-from daemon.control import ask_daemon
+from daemon.config.reading import Config, Installation
 from daemon.devices import (
     found_on_network,
     open_clock,
@@ -21,7 +20,8 @@ from daemon.devices import (
 )
 from daemon.errors import ConfigError, DcamError
 from daemon.lock import sole_writer
-from daemon.look import frame_text, pair_fields
+from daemon.operator.control import ask_daemon
+from daemon.operator.look import frame_text, pair_fields
 from drivers.errors import DriverError
 
 

@@ -11,7 +11,7 @@ from time import monotonic
 
 from daemon.checks.finding import Finding, failed, unless
 from daemon.checks.usb import frame_bytes
-from daemon.config import Config
+from daemon.config.reading import Config
 from daemon.store.database import open_store_readonly
 from daemon.store.durable import write_durable
 from daemon.store.errors import StoreError

@@ -9,7 +9,7 @@ from ipaddress import IPv4Address
 from daemon.checks import host
 from daemon.checks.finding import Finding, unless
 from daemon.checks.usb import frame_bytes
-from daemon.config import Config
+from daemon.config.reading import Config
 from drivers.protocols import Role
 
 GIGABIT_MBIT_S = 1000

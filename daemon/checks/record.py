@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 from daemon.checks.finding import Finding, failed
-from daemon.config import Installation
+from daemon.config.reading import Installation
 from daemon.errors import ExitCode
 from daemon.store.database import open_store_readonly
 from daemon.store.errors import DatabaseMissingError, StoreError

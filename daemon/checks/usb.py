@@ -12,7 +12,7 @@ from pathlib import Path
 
 from daemon.checks import host
 from daemon.checks.finding import Finding, unless
-from daemon.config import Config
+from daemon.config.reading import Config
 from daemon.errors import ExitCode
 from daemon.people import group_name
 from drivers.genicam_device import N_BUFFERS

@@ -30,13 +30,13 @@ from daemon.calibration.session import (
 )
 from daemon.commands.options import Options, common_options, json_option, pass_options
 from daemon.commands.output import note, print_json, progress, say
-from daemon.config import Config
-from daemon.control import cameras_to_oneself
+from daemon.config.reading import Config
 from daemon.devices import open_bench, open_calibration_rig, open_clock
 from daemon.errors import ExitCode, UsageError, WorkFailedError
 from daemon.exposure import loop_of
 from daemon.health import has_stepped_clock
 from daemon.lock import require_owner
+from daemon.operator.control import cameras_to_oneself
 from daemon.store.database import Store, open_store
 from drivers.frameset import FrameSet, FrameSetRow, read_frame_set
 

@@ -15,7 +15,7 @@ from daemon.checks.finding import Finding
 from daemon.checks.record import check_database, check_state
 from daemon.commands.options import Options, common_options, json_option, pass_options
 from daemon.commands.output import print_json, print_table
-from daemon.config import Installation
+from daemon.config.reading import Installation
 from daemon.errors import ExitCode
 from daemon.health import has_stepped_clock
 

@@ -24,12 +24,12 @@ from daemon.commands.gaps import print_gaps
 from daemon.commands.options import common_options
 from daemon.commands.output import note, print_table, progress, say
 from daemon.commands.status import print_status
-from daemon.config import Installation, find_installation
+from daemon.config.reading import Installation, find_installation
 from daemon.devices import open_clock, open_simulated_rig
 from daemon.errors import UsageError, WorkFailedError
-from daemon.figure import draw, require_matplotlib, series_of
 from daemon.health import look
-from daemon.history import gap_spans
+from daemon.reports.figure import draw, require_matplotlib, series_of
+from daemon.reports.history import gap_spans
 from daemon.store.database import Store, open_store, open_store_readonly
 from daemon.store.records import GapRecord, MeasurementRecord
 from daemon.verdict import judge

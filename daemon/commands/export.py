@@ -17,7 +17,7 @@ from daemon.commands.options import (
 )
 from daemon.commands.output import note
 from daemon.errors import UsageError
-from daemon.export import opened_output, replacing, write_records
+from daemon.reports.table import opened_output, replacing, write_records
 from daemon.store.database import ALWAYS, NEVER, open_store_readonly
 from daemon.store.records import MeasurementRecord
 
@@ -66,7 +66,7 @@ def _write_file(
     output: Path | None,
     options: Options,
 ) -> int:
-    from daemon.export_files import write_netcdf, write_parquet
+    from daemon.reports.files import write_netcdf, write_parquet
 
     if output is None:
         msg = f"--format {file_format} writes a file: give --output FILE"

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import click
 
-from daemon.config import Config, Installation, find_installation
+from daemon.config.reading import Config, Installation, find_installation
 from daemon.errors import HardwareError
 from daemon.people import group_name
 

@@ -10,7 +10,7 @@ import click
 from daemon.commands.options import Options, common_options, pass_options, span_options
 from daemon.commands.output import note
 from daemon.errors import UsageError
-from daemon.export import replacing
+from daemon.reports.table import replacing
 from daemon.store.database import open_store_readonly
 from daemon.wording import coverage_text
 
@@ -34,8 +34,8 @@ def command(options: Options, since: datetime | None, until: datetime | None, ou
     Of a long span every so-manieth row is drawn, and the title says so. The daemon may run
     meanwhile. Needs dcam's extra `plot`.
     """
-    from daemon.figure import draw, require_matplotlib
-    from daemon.history import gap_spans, read_history
+    from daemon.reports.figure import draw, require_matplotlib
+    from daemon.reports.history import gap_spans, read_history
 
     if output.suffix.lower() not in SUFFIXES:
         msg = f"--output {output}: name a file that ends in {' or '.join(SUFFIXES)}"

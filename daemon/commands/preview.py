@@ -8,8 +8,8 @@ import click
 
 from daemon.commands.options import Options, common_options, pass_options
 from daemon.commands.output import note, say
-from daemon.control import cameras_to_oneself
 from daemon.devices import open_clock, open_pair_source
+from daemon.operator.control import cameras_to_oneself
 from drivers.errors import DeviceError
 from drivers.protocols import Role
 

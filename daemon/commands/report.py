@@ -9,7 +9,7 @@ import click
 
 from daemon.commands.options import Options, common_options, pass_options, span_options
 from daemon.commands.output import note
-from daemon.export import replacing
+from daemon.reports.table import replacing
 from daemon.store.database import open_store_readonly
 from daemon.wording import coverage_text
 
@@ -32,8 +32,8 @@ def command(options: Options, since: datetime | None, until: datetime | None, ou
     of the others, gaps, events, and the calibrations used. It may be sent by mail and opened
     anywhere. The daemon may run meanwhile.
     """
-    from daemon.history import read_history
-    from daemon.report_page import render
+    from daemon.reports.history import read_history
+    from daemon.reports.page import render
 
     schedule = options.config.schedule
     with open_store_readonly(options.state) as store:

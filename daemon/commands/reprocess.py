@@ -23,10 +23,10 @@ from daemon.commands.options import (
     span_options,
 )
 from daemon.commands.output import note, print_json, progress, result_fields
-from daemon.config import Config
+from daemon.config.reading import Config
 from daemon.errors import UsageError, WorkFailedError
-from daemon.export import opened_output, write_results
 from daemon.measuring import ActiveCalibration, PairFiles, load_pairs, measure, read_pair
+from daemon.reports.table import opened_output, write_results
 from daemon.sequence import Sequence
 from daemon.store.database import NEVER, open_store_readonly
 from daemon.store.errors import DatabaseMissingError

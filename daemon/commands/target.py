@@ -10,7 +10,7 @@ import click
 from daemon.commands.options import Options, common_options, json_option, pass_options
 from daemon.commands.output import print_json, print_table, say
 from daemon.errors import ExitCode
-from daemon.target_sheet import Sheet, board_sheet, discs_sheet
+from daemon.reports.target_sheet import Sheet, board_sheet, discs_sheet
 from daemon.version import VERSION
 
 

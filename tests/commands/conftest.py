@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from daemon.config import load_config
+from daemon.config.reading import load_config
 from daemon.ctl import cli
 from daemon.errors import run
 from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set

@@ -12,7 +12,7 @@ import pytest
 from core.results import Flag
 from core.site import FloatArray
 from daemon.commands.demo import truth_mm
-from daemon.config import find_installation
+from daemon.config.reading import find_installation
 from daemon.main import serve
 from daemon.store.database import open_store, open_store_readonly
 from daemon.store.frames import FrameArchive

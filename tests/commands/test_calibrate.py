@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import pytest
 
-from daemon.config import load_config
+from daemon.config.reading import load_config
 from daemon.store.database import open_store, open_store_readonly
 from drivers.frameset import encode_png, format_slot, read_frame_set
 from drivers.sim.settings import SimSettings

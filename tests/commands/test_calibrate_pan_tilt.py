@@ -22,7 +22,7 @@ from daemon.calibration.positions import VIEWS, ZERO, Limits, planned_positions
 from daemon.calibration.session import FOLDER, Rig, Session, take_views, unfinished
 from daemon.calibration.sight import SETTLE_TIMEOUT_S, STILL_PX
 from daemon.commands import calibrate as command
-from daemon.config import load_config
+from daemon.config.reading import load_config
 from daemon.devices import open_clock, open_simulated_rig
 from daemon.errors import HardwareError
 from daemon.exposure import loop_of

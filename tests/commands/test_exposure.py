@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from core.results import Flag, Reason
-from daemon.config import load_config
+from daemon.config.reading import load_config
 from daemon.store.database import open_store_readonly
 from daemon.store.records import MeasurementRecord
 from drivers.sim.world import World

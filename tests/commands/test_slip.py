@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from daemon.config import find_installation
+from daemon.config.reading import find_installation
 from daemon.main import serve
 from daemon.store.database import open_store_readonly
 from drivers.sim.world import World

@@ -20,10 +20,10 @@ import pytest
 
 from core.calibration import CalibrationReport
 from core.results import Displacement, Flag, Measurement, Reason, RigMotion
-from daemon.config import load_config
+from daemon.clock.machine import read_boot_id, uptime_s
+from daemon.config.reading import load_config
 from daemon.lock import sole_writer
-from daemon.machine import read_boot_id, uptime_s
-from daemon.run_state import LastSlot, LostCamera, RunState, write_run_state
+from daemon.operator.run_state import LastSlot, LostCamera, RunState, write_run_state
 from daemon.store.database import Store, open_store
 from daemon.store.records import CalibrationRecord, FrameDay, GapCause, Mark, MeasurementRecord
 from tests.commands.conftest import SIMULATED, Ctl, Ran

@@ -15,7 +15,7 @@ from core.corners import detect_board
 from core.discs import find_discs
 from core.frames import GreyImage
 from core.site import CheckerboardTarget, CirclesTarget
-from daemon.config import load_config
+from daemon.config.reading import load_config
 from tests.commands.conftest import CONFIG, Ctl
 
 DPI = 200.0

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from daemon.config import load_config
+from daemon.config.reading import load_config
 from daemon.holes import note_schedule
 from daemon.schedule import Schedule
 from daemon.store.database import open_store

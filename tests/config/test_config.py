@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daemon.config import find_installation, load_config
+from daemon.config.reading import find_installation, load_config
 from daemon.errors import ConfigError
 
 MINIMAL = """

@@ -17,13 +17,13 @@ from core.site import (
     RigPrior,
     Site,
 )
+from daemon.clock.machine import Machine
 from daemon.disk.guard import DiskGuard
 from daemon.disk.rules import Rules
-from daemon.machine import Machine
-from daemon.notify import Notifier
+from daemon.operator.notify import Notifier
+from daemon.operator.reporting import Reporter
 from daemon.pipeline import Pipeline
 from daemon.recovery import recover
-from daemon.reporting import Reporter
 from daemon.runner import SlotRunner
 from daemon.schedule import Schedule
 from daemon.store.database import open_store

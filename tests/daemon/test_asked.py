@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from daemon.control import Offers, ask_daemon, control_socket, paused_daemon
 from daemon.errors import DcamError
-from daemon.look import room_for_look
-from daemon.pause import Pause
+from daemon.operator.control import Offers, ask_daemon, control_socket, paused_daemon
+from daemon.operator.look import room_for_look
+from daemon.operator.pause import Pause
 from daemon.schedule import Schedule
 from drivers.errors import DeviceLostError
 from tests.daemon.test_control import DEADLINE_S, ask, connected

@@ -5,8 +5,8 @@ from datetime import datetime, timedelta
 
 import pytest
 
+from daemon.clock.redating import put_right
 from daemon.recovery import recover
-from daemon.redating import put_right
 from daemon.store.records import Mark
 from drivers.frameset import read_frame_set
 from tests.daemon.times import minute_of, slot

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from daemon.control import MAX_CONNECTIONS, SOCKET_NAME, control_socket, paused_daemon
 from daemon.errors import HardwareError
-from daemon.pause import Pause
+from daemon.operator.control import MAX_CONNECTIONS, SOCKET_NAME, control_socket, paused_daemon
+from daemon.operator.pause import Pause
 from daemon.runner import SlotRunner
 
 DEADLINE_S = 20.0

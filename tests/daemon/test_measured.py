@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daemon.config import load_config
+from daemon.config.reading import load_config
 from daemon.store.database import open_store
 from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
 from drivers.sim.settings import SimSettings

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from daemon.config import DEFAULT_STATE_DIRECTORY
+from daemon.config.reading import DEFAULT_STATE_DIRECTORY
 from daemon.errors import ExitCode
 from daemon.loop_cache import SHARED
-from daemon.reporting import MARGIN_S
-from daemon.run_state import RUNTIME_DIRECTORY
+from daemon.operator.reporting import MARGIN_S
+from daemon.operator.run_state import RUNTIME_DIRECTORY
 
 USAGE, CONFIG = ExitCode.USAGE, ExitCode.CONFIG
 ROOTS = ("/var/lib", "/run", "/var/cache")

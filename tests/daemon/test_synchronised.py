@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from daemon.synchronised import LAPSE_S, Synchronisation, kernel_says
+from daemon.clock.synchronised import LAPSE_S, Synchronisation, kernel_says
 
 NORMAL = "A29FC87B,162.159.200.123,4,1763950000.1,0.0001,0.0,0.0,1.1,0.0,0.3,0.01,0.001,64.2,Normal"
 LOST = "00000000,,0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,1.0,1.0,0.0,Not synchronised"

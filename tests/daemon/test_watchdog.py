@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from daemon.run_state import read_run_state
+from daemon.operator.run_state import read_run_state
 from tests.daemon.test_dcamd import MARCH, REAL_TIME, ROOT, Site
 
 HANGS_AT_ITS_SECOND_SLOT = """

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from benchmarks.memory import resident_mb
-from daemon.notify import Notifier
+from daemon.operator.notify import Notifier
+from daemon.operator.reporting import Reporter
 from daemon.recovery import recover
-from daemon.reporting import Reporter
 from daemon.runner import SlotRunner
 from daemon.supervision import ProcessSpentError
 from tests.daemon.conftest import Station

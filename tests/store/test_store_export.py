@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from core.results import Flag, Measurement, Reason
-from daemon.export import opened_output, write_records, write_results
+from daemon.reports.table import opened_output, write_records, write_results
 from daemon.store.records import MeasurementRecord
 from tests.store.examples import BAD, full_measurement, full_record, record, slot
 

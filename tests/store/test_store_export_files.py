@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import netcdf_file
 
-from daemon.export_files import BATCH, write_netcdf, write_parquet
+from daemon.reports.files import BATCH, write_netcdf, write_parquet
 from tests.store.examples import START, full_record, record, slot
 
 

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import pytest
 
-from daemon.config import load_config
+from daemon.config.reading import load_config
 from drivers.frameset import FrameSetRow, format_slot, write_table
 from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
 from drivers.sim.settings import SimSettings

@@ -15,7 +15,7 @@ from pathlib import Path, PurePosixPath
 
 import structlog
 
-from daemon.absence import Absence, read_absence
+from daemon.clock.absence import Absence, read_absence
 from daemon.pipeline import Pipeline
 from daemon.schedule import SECOND, MissedSlots, Schedule
 from daemon.store.database import Store

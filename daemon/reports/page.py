@@ -17,17 +17,17 @@ from jinja2 import Environment, StrictUndefined
 
 from core.results import Flag
 from core.site import FloatArray
-from daemon.config import Installation
-from daemon.figure import draw
+from daemon.config.reading import Installation
 from daemon.health import look
-from daemon.history import History, gap_spans
+from daemon.reports.figure import draw
+from daemon.reports.history import History, gap_spans
 from daemon.store.database import Store
 from daemon.store.records import MeasurementRecord
 from daemon.verdict import judge, worst
 from daemon.version import VERSION
 from daemon.wording import coverage_text, span_text, utc_text
 
-_TEMPLATE = Path(__file__).with_name("report_page.html.j2")
+_TEMPLATE = Path(__file__).with_name("page.html.j2")
 MOST_LINES = 200
 """Of gaps and events; the page says how many more there are, and which command lists them."""
 

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from daemon.config_model import DEFAULT_STATE_DIRECTORY
+from daemon.config.model import DEFAULT_STATE_DIRECTORY
 
 RUNTIME_DIRECTORY = Path("/run/dcam")
 FILE_NAME = "state.json"

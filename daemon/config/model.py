@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, PrivateAttr, Strict
 
 from core.site import Site
-from daemon.config_site import (
+from daemon.config.site import (
     CamerasSection,
     Directory,
     Instant,

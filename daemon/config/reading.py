@@ -11,15 +11,15 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from daemon.config_model import (
+from daemon.config.model import (
     BURST_SHARE,
     DEFAULT_STATE_DIRECTORY,
     Config,
     SimulationSection,
 )
-from daemon.config_problems import describe_problems
+from daemon.config.plausibility import implausible_values
+from daemon.config.problems import describe_problems
 from daemon.errors import ConfigError
-from daemon.plausibility import implausible_values
 
 __all__ = [
     "DEFAULT_CONFIG_PATH",

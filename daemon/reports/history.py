@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 from itertools import islice
 
 from daemon.errors import WorkFailedError
-from daemon.figure import GapSpan, Series, series_of
+from daemon.reports.figure import GapSpan, Series, series_of
 from daemon.store.database import Store
 from daemon.store.records import Coverage, GapRecord
 from daemon.wording import utc_text

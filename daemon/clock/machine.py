@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from daemon.synchronised import Synchronisation
+from daemon.clock.synchronised import Synchronisation
 from drivers.protocols import Clock
 
 BOOT_ID_FILE = Path("/proc/sys/kernel/random/boot_id")

@@ -24,8 +24,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from daemon.errors import DcamError, ExitCode, HardwareError, exit_code_of, lines_of
 from daemon.lock import sole_writer
-from daemon.pause import Pause
-from daemon.run_state import runtime_directory
+from daemon.operator.pause import Pause
+from daemon.operator.run_state import runtime_directory
 from daemon.version import VERSION
 
 _log = structlog.get_logger("dcam.daemon")

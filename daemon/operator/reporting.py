@@ -14,10 +14,10 @@ from pathlib import Path
 
 import structlog
 
-from daemon.machine import read_boot_id, uptime_s
-from daemon.notify import Notifier
+from daemon.clock.machine import read_boot_id, uptime_s
+from daemon.operator.notify import Notifier
+from daemon.operator.run_state import LastSlot, LostCamera, RunState, write_run_state
 from daemon.pipeline import Missed
-from daemon.run_state import LastSlot, LostCamera, RunState, write_run_state
 from daemon.store.records import GapCause, MeasurementRecord
 from daemon.store.times import instant_text, slot_text
 from daemon.version import VERSION

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from core.results import Flag
-from daemon.export import EXTRA_COLUMNS
+from daemon.reports.table import EXTRA_COLUMNS
 from daemon.store.convert import RESULT_COLUMNS, measurement_columns
 from daemon.store.records import EPOCH, MeasurementRecord
 from daemon.store.schema import kind_of

@@ -1,0 +1,1 @@
+"""`dcam.toml`: found, read, checked, and what it may hold."""

@@ -1,0 +1,1 @@
+"""How systemd and an operator talk with a running dcamd, and what they are told."""

@@ -1,0 +1,1 @@
+"""The record as others read it: tables, files, figures, pages; and the targets to print."""
