@@ -141,7 +141,7 @@ class _Server:
         """What is being done for a client, of that which is done for one at a time."""
         self._started = threading.Event()
         self._idle: dict[object, asyncio.StreamWriter] = {}
-        """Connections that hold no pause, the oldest first."""
+        """Connections that hold no pause and are not being served, the oldest first."""
         self._loop: asyncio.AbstractEventLoop
         self._ended: asyncio.Event
 
@@ -206,14 +206,15 @@ class _Server:
         elif request.command == "resume":
             await asyncio.to_thread(self._pause.release, holder)
         elif request.command != "status":
-            return await self._offered(request.command)
+            return await self._offered(request.command, holder)
         return Answer(ok=True, paused=self._pause.reason or "")
 
-    async def _offered(self, command: Literal["capture", "reload"]) -> Answer:
+    async def _offered(self, command: Literal["capture", "reload"], holder: object) -> Answer:
         """Do it in a thread; a crowd that asks for it gets one, and the others are refused."""
         if self._offers is None or self._busy:
             return Answer(ok=False, error=f"{self._busy or 'start'} in progress; try again later")
         self._busy = command
+        writer = self._idle.pop(holder, None)  # a crowd does not push out who is being served
         try:
             look = await asyncio.to_thread(getattr(self._offers, command))
         except Exception as error:  # noqa: BLE001 - it is the client's to know; slots go on
@@ -221,6 +222,8 @@ class _Server:
             return Answer(ok=False, error="\n".join(lines_of(error))[:MAX_ERROR], exit_code=code)
         finally:
             self._busy = ""
+            if writer is not None:
+                self._idle[holder] = writer
         return Answer(ok=True, paused=self._pause.reason or "", look=look)
 
 

@@ -165,7 +165,11 @@ def _wrong_tables(connection: sqlite3.Connection, path: Path) -> Iterator[str]:
     found = connection.execute("SELECT version_num FROM alembic_version").fetchone()
     query = "SELECT value FROM mark WHERE name = ?"
     noted = connection.execute(query, (Mark.SCHEMA.value,)).fetchone()
-    noted_revision, digests = json.loads(noted[0]) if noted else (None, {})
+    try:
+        noted_revision, digests = json.loads(noted[0]) if noted else (None, {})
+    except (ValueError, TypeError):
+        yield "the note of the tables' definitions is not what was written"
+        return
     revision = None if found is None else str(found[0])
     yield from _wrong_definitions(path, revision, noted_revision, digests, schema_digests(schema))
 
