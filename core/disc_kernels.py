@@ -19,6 +19,8 @@ from core.pixel_fit import (
 from core.site import FloatArray, IntArray
 
 DISC_PARAMETERS = 12
+_LEAST_BLUR_PX, _MOST_BLUR_PX = 0.25, 12.0
+"""A pixel's own width blurs by 0.29 px; a camera that sharpens takes some of that off."""
 _BLOCK = 128  # so that the derivatives stay in the fastest cache
 Pixels = NDArray[Any]
 """(h, w) grey values: uint8, uint16 or float32."""
@@ -161,6 +163,17 @@ def _plausible(p: FloatArray, size: float) -> bool:
 
 
 @compiled
+def _hold_blur(p: FloatArray, normal: FloatArray, right: FloatArray) -> None:
+    """Take the blur out of the equations where it would leave its bounds, else it drags the rest.
+
+    That is where the images are sharper than any edge that the model knows.
+    """
+    down, up = p[11] <= _LEAST_BLUR_PX, p[11] >= _MOST_BLUR_PX
+    if (down and right[11] < 0.0) or (up and right[11] > 0.0):
+        normal[11, :], normal[11, 11], right[11] = 0.0, 1.0, 0.0
+
+
+@compiled
 def _room(state: FloatArray, reach_px: FloatArray) -> int:
     """Pixels that any of the discs may need."""
     most = 0.0
@@ -214,11 +227,12 @@ def fit_discs(
                     if model >= limits[0] <= pixels[2, i]:
                         weight[i] = 0.0
                 _add_up(rows, miss[first:], weight[first:], block, normal, right)
+            _hold_blur(p, normal, right)
             usable, improved, moved_px = advance(normal, right, factor, p)
             usable = usable and _plausible(p, size)
+            p[11] = min(max(p[11], _LEAST_BLUR_PX), _MOST_BLUR_PX)
             if not usable or (step > 0 and moved_px < limits[2]):
                 break
-            p[11] = min(max(p[11], 0.35), 12.0)
         figures[k, 0] = -improved  # by the last step, which was not evaluated any more
         for i in range(count):
             figures[k, 0] += weight[i] * miss[i] * miss[i]

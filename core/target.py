@@ -12,7 +12,7 @@ from core.disc_fit import DiscFits, locate_discs
 from core.discs import clear_fits
 from core.errors import ImageError, TargetNotFoundError
 from core.frames import GreyImage, PixelArray
-from core.homography import fit_homography, outline_offset, project, slopes
+from core.homography import circle_outlines, outline_offset, refine_on_circles
 from core.layout import MIN_DISCS, Expectation, Layout, Naming, name_discs
 from core.site import BoolArray, FloatArray, IntArray
 
@@ -21,6 +21,7 @@ _SEARCH_SIZE_PX = 1000
 _POINT_SIGMA_PX = 0.05
 _PLACE_SHARE, _PLACE_PX = 0.01, 0.5
 _OUTLINE_SHARE, _OUTLINE_PX = 0.12, 0.5
+_OTHER_SIZE = 1.3
 _ROUNDS = 3
 _MOST_CHANGE = 0.4
 
@@ -173,51 +174,53 @@ def _locate(
 ) -> tuple[DiscFits, IntArray, FloatArray]:
     """Fit all discs, where they were seen or should be; keep those that are where they should."""
     H = naming.H
-    points = project(H, layout.places_mm)
-    outline = _outlines(H, layout)
+    points, outline = circle_outlines(H, layout.places_mm, layout.radii_mm)
     points[naming.discs] = blobs.points_px[naming.spots]
     outline[naming.discs] = blobs.outline_px[naming.spots]
     fits = locate_discs(grey.pixels, grey.saturation_dn, points, outline)
     good = clear_fits(fits)
+    radii = _radii_seen(H, layout, fits, good)
     for _ in range(_ROUNDS):
         which = np.flatnonzero(good)
         if len(which) < MIN_DISCS:
             break
-        H = _homography(layout, fits, which, H)
-        miss = np.hypot(*(fits.points_px - _outline_middles(H, layout)).T)
+        H = refine_on_circles(
+            H,
+            layout.places_mm[which],
+            radii[which],
+            fits.points_px[which],
+            fits.outline_px[which],
+            _POINT_SIGMA_PX,
+        )
+        middles, outline = circle_outlines(H, layout.places_mm, radii)
+        miss = np.hypot(*(fits.points_px - middles).T)
         extent = float(np.ptp(fits.points_px[which], axis=0).max())
         fits_plate = miss < _PLACE_SHARE * extent + _PLACE_PX
-        good = good & fits_plate & _as_wide(_outlines(H, layout), fits.outline_px)
+        good = good & fits_plate & _as_wide(outline, fits)
     return fits, np.flatnonzero(good), H
 
 
-def _outline_middles(H: FloatArray, layout: Layout) -> FloatArray:
-    centres = project(H, layout.places_mm)
-    return centres + outline_offset(H, layout.places_mm, layout.radii_mm)
+def _radii_seen(H: FloatArray, layout: Layout, fits: DiscFits, good: BoolArray) -> FloatArray:
+    """Radii (n,) of the discs, mm, as they are seen where three or more of a size agree on it.
+
+    Overexposed discs grow, the paper around them shrinks, and the wrong diameter may be stated.
+    """
+    _, outline = circle_outlines(H, layout.places_mm, layout.radii_mm)
+    ratio = np.trace(fits.outline_px, axis1=1, axis2=2) / np.trace(outline, axis1=1, axis2=2)
+    radii = layout.radii_mm.copy()
+    for radius in np.unique(layout.radii_mm):
+        alike = layout.radii_mm == radius
+        if (alike & good).sum() >= MIN_DISCS:
+            seen = float(np.median(ratio[alike & good]))
+            radii[alike] *= np.clip(seen, 1.0 / _OTHER_SIZE, _OTHER_SIZE)
+    return radii
 
 
-def _homography(layout: Layout, fits: DiscFits, which: IntArray, H: FloatArray) -> FloatArray:
-    """Homography of the discs' centres from the middles of their outlines."""
-    places, radii = layout.places_mm[which], layout.radii_mm[which]
-    for _ in range(_ROUNDS):
-        slope = slopes(H, places.mean(axis=0, keepdims=True))[0]
-        centres = fits.points_px[which] - outline_offset(H, places, radii)
-        H = fit_homography(places, centres, _POINT_SIGMA_PX, slope)
-    return H
-
-
-def _outlines(H: FloatArray, layout: Layout) -> FloatArray:
-    """Symmetric matrices (n, 2, 2) taking the unit circle to the discs' outlines."""
-    slope = slopes(H, layout.places_mm) * layout.radii_mm[:, None, None]
-    values, vectors = np.linalg.eigh(slope @ np.swapaxes(slope, 1, 2))
-    return np.asarray((vectors * np.sqrt(values)[:, None]) @ np.swapaxes(vectors, 1, 2))
-
-
-def _as_wide(outline: FloatArray, seen: FloatArray) -> BoolArray:
-    """Whether the outlines seen are as wide as they should be, in every direction."""
+def _as_wide(outline: FloatArray, fits: DiscFits) -> BoolArray:
+    """Whether the outlines seen are as wide as they should be, as far as their blur tells."""
     radius = np.trace(outline, axis1=1, axis2=2) / 2.0
-    difference = np.abs(np.linalg.eigvalsh(seen - outline)).max(axis=1)
-    return np.asarray(difference < _OUTLINE_SHARE * radius + _OUTLINE_PX)
+    difference = np.abs(np.linalg.eigvalsh(fits.outline_px - outline)).max(axis=1)
+    return np.asarray(difference < _OUTLINE_SHARE * radius + _OUTLINE_PX + fits.blur_px)
 
 
 def _as_found(
