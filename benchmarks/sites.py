@@ -194,7 +194,16 @@ class SeenWorld:
         noisy = true_px[index] + noise_px * self._rng.normal(size=(len(index), 2))
         covariance = np.tile(sigma_px**2 * np.eye(2), (len(index), 1, 1))
         view = BoardView(index, noisy, covariance)
-        return LocatedBoard(view, True, len(index), NOISE_DN, CONTRAST_DN, BLUR_PX)  # noqa: FBT003
+        return LocatedBoard(
+            view,
+            certain=True,
+            white_dn=np.full(len(index), CONTRAST_DN),
+            black_dn=np.zeros(len(index)),
+            missing_px=np.zeros((0, 2)),
+            noise_dn=NOISE_DN,
+            contrast_dn=CONTRAST_DN,
+            blur_px=BLUR_PX,
+        )
 
     def discs(self, shot: Shot) -> Discs:
         """The discs' centres."""

@@ -44,6 +44,8 @@ class CornerFits:
     """(n,) rms of the grey values about the model, over white and black."""
     contrast_dn: FloatArray
     """(n,) white minus black."""
+    light_dn: FloatArray
+    """(n,) mean of white and black."""
     blur_px: FloatArray
     """(n,) 1-sigma width of the edges."""
 
@@ -101,6 +103,7 @@ def locate_corners(
         ok,
         factor * seen.noise_dn,
         2.0 * np.abs(state[:, GAIN]),
+        state[:, 0],
         state[:, BLUR],
     )
 

@@ -41,13 +41,22 @@ class LocatedBoard:
     view: BoardView
     certain: bool
     """False if the corners could also be others of the board (only part of it was seen)."""
-    visible: int
-    """Corners that should be in the image."""
+    white_dn: FloatArray
+    """(m,) grey of the white squares about each of the view's corners."""
+    black_dn: FloatArray
+    """(m,) and of the black ones."""
+    missing_px: FloatArray
+    """(k, 2) about where corners should be that are not clear enough."""
     noise_dn: float
     contrast_dn: float
     blur_px: float
     near: Pose | None = None
     """Where the board is, to a tenth of a pixel; None where no lens was known."""
+
+    @property
+    def visible(self) -> int:
+        """Corners that should be in the image."""
+        return len(self.view.index) + len(self.missing_px)
 
 
 def detect_board(image: GreyImage, board: Board) -> LocatedBoard:
@@ -183,7 +192,9 @@ def _located(
     return LocatedBoard(
         view,
         certain,
-        len(index),
+        (fits.light_dn + 0.5 * fits.contrast_dn)[usable],
+        (fits.light_dn - 0.5 * fits.contrast_dn)[usable],
+        fits.points_px[~usable],
         float(np.median(fits.noise_dn[usable])),
         float(np.median(fits.contrast_dn[usable])),
         float(np.median(fits.blur_px[usable])),
@@ -192,14 +203,17 @@ def _located(
 
 
 def _alike(fits: CornerFits) -> BoolArray:
-    """Corners whose contrast and residuals are like most others' (not under an insect)."""
+    """Corners whose contrast and residuals are like most others' (not under an insect).
+
+    In shade white and black are darker by the same factor, so that contrast is taken by the light.
+    """
     if not fits.usable.any():
         return fits.usable
     noise = np.median(fits.noise_dn[fits.usable])
-    contrast = np.median(fits.contrast_dn[fits.usable])
+    by_light = fits.contrast_dn / np.maximum(fits.light_dn, 1.0)
     return np.asarray(
         (fits.noise_dn < 3.0 * noise)
-        & (fits.contrast_dn > 0.3 * contrast)
+        & (by_light > 0.3 * np.median(by_light[fits.usable]))
         & (fits.contrast_dn > 3.0 * fits.noise_dn)
         & (fits.blur_px < 5.9)
     )

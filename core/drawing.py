@@ -161,7 +161,9 @@ class Drawing:
         return LocatedBoard(
             view,
             certain=True,
-            visible=len(index),
+            white_dn=np.full(len(index), q.contrast_dn),
+            black_dn=np.zeros(len(index)),
+            missing_px=np.zeros((0, 2)),
             noise_dn=q.noise_dn,
             contrast_dn=q.contrast_dn,
             blur_px=q.blur_px,

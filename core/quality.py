@@ -14,6 +14,7 @@ from core.paper import PaperModel
 from core.resection import BoardPose
 from core.results import Displacement, Flag, Reason, RigMotion
 from core.setup import Setup
+from core.shadow import crossed_by_shadow
 from core.site import FloatArray, Site
 
 _DARK_SHARE = 0.08
@@ -60,11 +61,9 @@ def judge_main(setup: Setup, discs: Discs, shift: Shift) -> list[Reason]:
 def judge_sub(setup: Setup, located: LocatedBoard, board: BoardPose) -> list[Reason]:
     """What is doubtful about the sub target."""
     reasons = []
-    off = np.hypot(board.residuals_px[:, 0], board.residuals_px[:, 1])
-    used = len(off) - int(((board.weights < _MISFIT_WEIGHT) & (off > _MISFIT_PX)).sum())
     if not located.certain:
         reasons.append(Reason.SUB_TARGET_UNCERTAIN)
-    if used < (1.0 - _HIDDEN_SHARE) * located.visible:
+    if _hidden(located, board) > _HIDDEN_SHARE * located.visible:
         reasons.append(Reason.SUB_TARGET_PARTLY_HIDDEN)
     if board.rms_px > _RESIDUAL_FACTOR * max(setup.levels.sub_rms_px, 0.002) * noisier(
         setup.levels.sub_contrast_dn, located.contrast_dn
@@ -75,6 +74,17 @@ def judge_sub(setup: Setup, located: LocatedBoard, board: BoardPose) -> list[Rea
     if located.blur_px > _BLUR_FACTOR * max(setup.levels.sub_blur_px, 0.8):
         reasons.append(Reason.BLURRED)
     return reasons
+
+
+def _hidden(located: LocatedBoard, board: BoardPose) -> int:
+    """How many corners something lies on: those lost to a shadow's edge are not among them."""
+    off = np.hypot(board.residuals_px[:, 0], board.residuals_px[:, 1])
+    misfit = (board.weights < _MISFIT_WEIGHT) & (off > _MISFIT_PX)
+    points = located.view.points_px
+    lost = np.concatenate([located.missing_px, points[misfit]])
+    white, black = located.white_dn[~misfit], located.black_dn[~misfit]
+    crossed = crossed_by_shadow(lost, points[~misfit], white, black)
+    return int((~crossed).sum())
 
 
 def _is_foreign(setup: Setup, located: LocatedBoard, board: BoardPose) -> bool:
