@@ -15,43 +15,9 @@ from daemon.ctl import cli
 from daemon.errors import run
 from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
 from drivers.sim.settings import SimSettings
+from tests.laboratory import laboratory
 
-CONFIG = """
-[site]
-name = "bench"
-
-[camera.main]
-width_px = 640
-height_px = 400
-pixel_pitch_um = 17.58
-focal_length_mm = 800.0
-
-[camera.sub]
-width_px = 640
-height_px = 400
-pixel_pitch_um = 17.58
-focal_length_mm = 6.0
-
-[target.main]
-kind = "circles"
-centres_mm = [[-15.0, 11.0], [15.0, 11.0], [0.0, 0.0], [-15.0, -11.0], [15.0, -11.0]]
-diameter_mm = 8.0
-distance_mm = 11000.0
-distance_sigma_mm = 20.0
-
-[target.sub]
-kind = "checkerboard"
-squares_x = 32
-squares_y = 31
-square_mm = 2.0
-distance_mm = 50.0
-
-[rig]
-rotation_main_sub_deg = [0.0, 180.0, 0.0]
-rotation_sigma_deg = 1.0
-offset_main_sub_mm = [0.0, 0.0, -80.0]
-offset_sigma_mm = 3.0
-"""
+CONFIG = laboratory(640)
 """The laboratory site on sensors of a third of the pixels; no backend, as for `--from`."""
 
 SEED = 3

@@ -16,37 +16,11 @@ import pytest
 
 from daemon.store.database import Store, open_store
 from daemon.store.records import GapCause, Mark
+from tests.laboratory import laboratory
 
 DCAMD = [sys.executable, "-m", "daemon.main"]
 ROOT = Path(__file__).parents[2]
-SITE = """
-[site]
-name = "test"
-[camera.main]
-backend = "simulated"
-width_px = 320
-height_px = 200
-pixel_pitch_um = 35.16
-focal_length_mm = 800.0
-[camera.sub]
-backend = "simulated"
-width_px = 320
-height_px = 200
-pixel_pitch_um = 35.16
-focal_length_mm = 6.0
-[target.main]
-centres_mm = [[-15.0, 11.0], [15.0, 11.0], [0.0, 0.0], [-15.0, -11.0], [15.0, -11.0]]
-diameter_mm = 8.0
-distance_mm = 11000.0
-[target.sub]
-squares_x = 32
-squares_y = 31
-square_mm = 2.0
-distance_mm = 50.0
-[rig]
-rotation_main_sub_deg = [0.0, 180.0, 0.0]
-offset_main_sub_mm = [0.0, 0.0, -80.0]
-"""
+SITE = laboratory(320, "simulated")
 REAL_TIME = '[schedule]\nperiod_s = 1\n[simulation]\nclock = "system"\n'
 MARCH = datetime(2026, 3, 1, tzinfo=UTC)
 

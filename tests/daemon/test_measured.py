@@ -15,40 +15,18 @@ from daemon.config.reading import load_config
 from daemon.store.database import open_store
 from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
 from drivers.sim.settings import SimSettings
+from tests.laboratory import laboratory
 
 ROOT = Path(__file__).parents[2]
-SITE = """
-[site]
-name = "small"
-[camera.main]
-backend = "replay"
-width_px = 480
-height_px = 300
-pixel_pitch_um = 23.44
-focal_length_mm = 800.0
-[camera.sub]
-backend = "replay"
-width_px = 480
-height_px = 300
-pixel_pitch_um = 23.44
-focal_length_mm = 6.0
-[target.main]
-centres_mm = [[-15.0, 11.0], [15.0, 11.0], [0.0, 0.0], [-15.0, -11.0], [15.0, -11.0]]
-diameter_mm = 8.0
-distance_mm = 11000.0
-[target.sub]
-squares_x = 16
-squares_y = 15
-square_mm = 4.0
-distance_mm = 50.0
-[rig]
-rotation_main_sub_deg = [0.0, 180.0, 0.0]
-offset_main_sub_mm = [0.0, 0.0, -80.0]
+SITE = (
+    laboratory(480, "replay", square_mm=4.0)
+    + """
 [schedule]
 period_s = 1
 [replay]
 directory = "frames"
 """
+)
 SLOTS = 3
 VALUES = ("x_mm", "y_mm", "raw_x_mm", "raw_y_mm", "rx_rad", "ry_rad", "rz_rad", "tx_mm", "tz_mm")
 

@@ -28,6 +28,7 @@ from drivers.sim.settings import SimSettings
 from tests.gige.bench import gige_network, image_index, read_pixels, running
 from tests.gige.loopback import ADDRESSES
 from tests.gige.process import REPOSITORY, CameraProcess
+from tests.laboratory import laboratory
 
 PERIOD_S = 2
 N_SCENES = 8
@@ -35,37 +36,9 @@ SERIALS = {"main": "15290000", "sub": "15290001"}
 WAIT_S = 60.0
 """How long to wait for what takes a few slots; a loaded machine may be slow."""
 
-CONFIG = """
-[site]
-name = "loopback"
-[camera.main]
-backend = "aravis"
-serial = "15290000"
-width_px = 720
-height_px = 450
-pixel_pitch_um = 15.6267
-focal_length_mm = 800.0
-[camera.sub]
-backend = "aravis"
-serial = "15290001"
-width_px = 720
-height_px = 450
-pixel_pitch_um = 15.6267
-focal_length_mm = 6.0
-[target.main]
-kind = "circles"
-centres_mm = [[-15.0, 11.0], [15.0, 11.0], [0.0, 0.0], [-15.0, -11.0], [15.0, -11.0]]
-diameter_mm = 8.0
-distance_mm = 11000.0
-[target.sub]
-kind = "checkerboard"
-squares_x = 32
-squares_y = 31
-square_mm = 2.0
-distance_mm = 50.0
-[rig]
-rotation_main_sub_deg = [0.0, 180.0, 0.0]
-offset_main_sub_mm = [0.0, 0.0, -80.0]
+CONFIG = (
+    laboratory(720, "aravis")
+    + """
 [schedule]
 period_s = 2
 [exposure]
@@ -74,6 +47,7 @@ sub_us = 20000.0
 [quality]
 max_skew_ms = 1000.0   # a loaded machine must not turn a good row into a suspect one
 """
+)
 
 VALUES = ("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm", "raw_x_mm", "raw_y_mm")
 MOTION = ("rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm")

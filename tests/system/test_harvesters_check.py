@@ -15,43 +15,17 @@ from tests.gige.bench import gige_network, running, write_images
 from tests.gige.kinds import kind_of
 from tests.gige.loopback import ADDRESSES
 from tests.gige.process import REPOSITORY
+from tests.laboratory import laboratory
 
-CONFIG = """
-[site]
-name = "loopback"
-[camera.main]
-backend = "harvesters"
-serial = "15290000"
-width_px = 720
-height_px = 450
-pixel_pitch_um = 15.6267
-focal_length_mm = 800.0
-[camera.sub]
-backend = "harvesters"
-serial = "15290001"
-width_px = 720
-height_px = 450
-pixel_pitch_um = 15.6267
-focal_length_mm = 6.0
-[target.main]
-kind = "circles"
-centres_mm = [[-15.0, 11.0], [15.0, 11.0], [0.0, 0.0], [-15.0, -11.0], [15.0, -11.0]]
-diameter_mm = 8.0
-distance_mm = 11000.0
-[target.sub]
-kind = "checkerboard"
-squares_x = 32
-squares_y = 31
-square_mm = 2.0
-distance_mm = 50.0
-[rig]
-rotation_main_sub_deg = [0.0, 180.0, 0.0]
-offset_main_sub_mm = [0.0, 0.0, -80.0]
+CONFIG = (
+    laboratory(720, "harvesters")
+    + """
 [trigger]
 mode = "hardware"
 [genicam]
 producer = "PRODUCER"
 """
+)
 
 
 def check(
