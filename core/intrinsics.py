@@ -9,7 +9,7 @@ import numpy as np
 
 from core.adjustment import Adjusted, AdjustmentPriors, adjust
 from core.board import Board
-from core.corners import detect_board, refine_board
+from core.corners import LocatedBoard, detect_board, refine_board
 from core.errors import CalibrationError, TargetNotFoundError
 from core.frames import GreyImage
 from core.lens import Lens
@@ -20,6 +20,7 @@ from core.lens_start import ImageSize, start_lens
 from core.resection import BoardView, resect
 from core.site import CameraGeometry, FloatArray
 
+_ALL_BUT_FEW, _STRAY_PX = 0.9, 0.5
 _SQUARE = 1e-3
 """Sensors' pixels are square to better than this, 1 sigma."""
 
@@ -81,15 +82,36 @@ def calibrate_lens(
     focal_px = None if camera is None else camera.focal_px
     start = start_lens([view for _, view in found], board, (width, height), focal_px, model)
     misfits = dict(start.rejected)
-    rejected += [(found[v][0], reason) for v, reason in misfits.items()]
-    used = [k for v, (k, _) in enumerate(found) if v not in misfits]
-    views = []
+    used, views = [], []
     for v, (k, view) in enumerate(found):
-        if v not in misfits:
-            pose = resect(start.lens, board.corners_mm, view).pose
-            views.append(refine_board(images[k], start.lens, pose, board, board.corners_mm).view)
+        try:
+            located = _located_again(images[k], start.lens, board, view)
+            if v in misfits:
+                _require_fit(located, start.lens, board)
+        except TargetNotFoundError as error:
+            rejected.append((k, misfits.get(v, str(error))))
+            continue
+        used.append(k)
+        views.append(located.view)
     adjusted, choice = _adjusted(views, board, start.lens, model, skew=skew)
     return LensCalibration(adjusted.lens, adjusted, tuple(used), tuple(sorted(rejected)), choice)
+
+
+def _located_again(image: GreyImage, lens: Lens, board: Board, view: BoardView) -> LocatedBoard:
+    """Locate all corners with the lens known, from those that were found without it."""
+    pose = resect(lens, board.corners_mm, view).pose
+    return refine_board(image, lens, pose, board, board.corners_mm)
+
+
+def _require_fit(located: LocatedBoard, lens: Lens, board: Board) -> None:
+    """Let a view in after all if a stray among the corners first found was all that did not fit.
+
+    Raises TargetNotFoundError.
+    """
+    off_px = resect(lens, board.corners_mm, located.view).plain_rms_px
+    if len(located.view.index) < _ALL_BUT_FEW * located.visible or off_px > _STRAY_PX:
+        msg = f"{len(located.view.index)} of {located.visible} corners, off by {off_px:.2f} px rms"
+        raise TargetNotFoundError(msg)
 
 
 def calibrate_lens_from_corners(

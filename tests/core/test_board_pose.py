@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from core.board import Board
 from core.board_pose import board_pose
+from core.corners import LocatedBoard, detect_board
 from core.errors import TargetNotFoundError
 from core.frames import GreyImage
 from core.intrinsics import calibrate_lens
@@ -42,15 +44,19 @@ def test_a_board_of_which_too_little_is_seen_is_refused() -> None:
         board_pose(wide.image(), AS_CORE, wide.board)
 
 
-def test_a_lens_from_images_of_which_nothing_is_known() -> None:
-    """Ten views calibrate it; the one without the board is named, with the reason."""
+def _ten_views() -> list[GreyImage]:
     tilts = [(20.0, 0.0), (-20.0, 0.0), (0.0, 20.0), (0.0, -20.0), (15.0, 15.0)]
     places = [(-10.0, -5.0), (10.0, -5.0), (-10.0, 5.0), (10.0, 5.0), (0.0, 0.0)]
-    images = [
+    return [
         replace(SMALL, turn_deg=(*tilt, 5.0 * k), middle_mm=(*place, z)).image(k)
         for z in (60.0, 75.0)
         for k, (tilt, place) in enumerate(zip(tilts, places, strict=True))
     ]
+
+
+def test_a_lens_from_images_of_which_nothing_is_known() -> None:
+    """Ten views calibrate it; the one without the board is named, with the reason."""
+    images = _ten_views()
     images.insert(3, GreyImage(np.full((300, 480), 90, dtype=np.uint8)))
     found = calibrate_lens(images, SMALL.board)
     assert [k for k, _ in found.rejected] == [3]
@@ -59,3 +65,20 @@ def test_a_lens_from_images_of_which_nothing_is_known() -> None:
     pixels = np.column_stack([u.ravel(), v.ravel()])
     angle = np.arccos((found.lens.rays(pixels) * AS_CORE.rays(pixels)).sum(axis=1))
     assert angle.max() < 5e-3
+
+
+def test_a_stray_among_the_first_corners_costs_no_view(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the lens a corner of one view is taken for another; with it, all are found."""
+    found_first = []
+
+    def astray(image: GreyImage, board: Board) -> LocatedBoard:
+        found = detect_board(image, board)
+        found_first.append(found)
+        if len(found_first) == 5:
+            found.view.points_px[20] += [25.0, -18.0]
+        return found
+
+    monkeypatch.setattr("core.intrinsics.detect_board", astray)
+    found = calibrate_lens(_ten_views(), SMALL.board)
+    assert found.rejected == ()
+    assert found.lens.parameters[:2] == pytest.approx(AS_CORE.parameters[:2], rel=2e-3)
