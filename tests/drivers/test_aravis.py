@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import builtins
+import dataclasses
+import functools
 import json
+import os
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +15,8 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
+from benchmarks.memory import resident_mb
+from drivers import aravis_device
 from drivers.aravis import AravisCamera
 from drivers.aravis_device import AravisFeatures
 from drivers.errors import (
@@ -187,15 +192,42 @@ def _assert_flat(handles: list[tuple[int, int]]) -> None:
         assert last <= first + 1, handles
 
 
-def test_twenty_reconnects_leave_no_handle_and_no_thread(process: CameraProcess) -> None:
-    camera = AravisCamera(MAIN, SETTINGS)
+def _reconnect(
+    settings: CameraSettings, times: int, *, shots_every: int = 1
+) -> list[tuple[int, int]]:
+    camera = AravisCamera(MAIN, settings)
     handles = []
-    for _ in range(20):
+    for number in range(times):
         camera.open()
-        shoot(camera)
+        if number % shots_every == 0:
+            shoot(camera)
         camera.close()
         handles.append(_handles())
+    return handles
+
+
+def test_ten_reconnects_leave_no_handle_and_no_thread(process: CameraProcess) -> None:
+    _assert_flat(_reconnect(SETTINGS, 10))
+
+
+def test_two_hundred_reconnects_leave_nothing(
+    process: CameraProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Handles, threads and memory, after what libraries keep once for all.
+
+    Without what only takes time, one and a half seconds each: the look on the network for cameras,
+    the try of packet sizes, the wait for stale frames. The test before does all that.
+    """
+    find = functools.cache(aravis_device.find_device)
+    monkeypatch.setattr("drivers.aravis_device.find_device", find)
+    monkeypatch.setattr("drivers.genicam_session.SETTLE_S", 0.0)
+    settings = dataclasses.replace(SETTINGS, packet_size_bytes=1500)
+    handles = _reconnect(settings, 50, shots_every=10)
+    before_mb = resident_mb(os.getpid())
+    handles += _reconnect(settings, 150, shots_every=10)
     _assert_flat(handles)
+    # The buffers of 150 streams would be 3.7 MB.
+    assert resident_mb(os.getpid()) < before_mb + 2.0
 
 
 def test_losses_leave_no_handle_and_no_thread(process: CameraProcess) -> None:
