@@ -126,7 +126,8 @@ class SynchronizedPair:
             # A main camera that did not expose is why the sub-camera saw no edge.
             errors = [error for error in errors if not _is_unanswered(error, "sub")] or errors
         if len(errors) > 1:
-            both = type(errors[0])(f"{errors[0]}; {errors[1]}", None)
+            # Once, where both have the same to say.
+            both = type(errors[0])("; ".join(dict.fromkeys(map(str, errors))), None)
             raise both from errors[0]
         if errors:
             raise errors[0]

@@ -222,6 +222,13 @@ def test_two_dead_cameras_are_both_named(rig: Rig) -> None:
     assert isinstance(error, DeviceLostError)
 
 
+def test_what_both_cameras_say_alike_is_said_once(rig: Rig) -> None:
+    for camera in (rig.main, rig.sub):
+        camera.on["open"] = _raise(DeviceLostError("M1 and S1: no library"))
+    error, _ = rig.fail()
+    assert str(error) == "M1 and S1: no library"
+
+
 @pytest.mark.parametrize("call", ["open", "arm", "trigger", "fetch"])
 def test_a_hung_call_costs_no_more_than_its_deadline(rig: Rig, call: str) -> None:
     """A call that never returns is left behind; later slots fail at once; then it recovers."""
