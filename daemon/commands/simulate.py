@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import click
 
 from daemon.commands.options import common_options
-from daemon.errors import ExitCode
+from daemon.errors import ExitCode, UsageError
 from drivers.sim.head_machine import Faults, FaultyHead, HeadMachine
 from drivers.sim.head_pelco import PelcoMachine, PelcoModel
 from drivers.sim.head_ptu import PtuMachine, PtuModel
@@ -136,6 +137,10 @@ def head(
     **options: Any,
 ) -> int:
     """Simulate a pan-tilt head on a serial port; print the port's name, run until Ctrl-C."""
+    if link is not None:
+        require_free("--link", link, left_over=link.is_symlink() and _is_port(link.readlink()))
+    if angles is not None:
+        require_free("--angles", angles, left_over=angles.is_socket())
     faults = Faults(
         latency_s=options["latency_s"] * speed_factor,
         **{name: options[name] for name in ("noise", "silent_after", "nonsense_after", "seed")},
@@ -154,6 +159,23 @@ def head(
     finally:
         server.close()
     return ExitCode.DONE
+
+
+def require_free(option: str, path: Path, *, left_over: bool) -> None:
+    """Raise UsageError where a name cannot be made, or is that of something not ours to replace.
+
+    left_over: of a simulated head that was killed, and could not take its names away.
+    """
+    if not path.parent.is_dir():
+        msg = f"{option} {path}: there is no directory {path.parent}"
+        raise UsageError(msg)
+    if os.path.lexists(path) and not left_over:
+        msg = f"{option} {path}: holds something else than a simulated head; give another name"
+        raise UsageError(msg)
+
+
+def _is_port(path: Path) -> bool:
+    return path.parent == Path("/dev/pts")
 
 
 def _machine(protocol: str, options: dict[str, Any]) -> HeadMachine:

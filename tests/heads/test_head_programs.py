@@ -110,6 +110,29 @@ def test_the_program_ends_cleanly_and_takes_its_names_away(number: int, tmp_path
     assert not os.path.lexists(tmp_path / "angles")
 
 
+@pytest.mark.parametrize("option", ["--link", "--angles"])
+@pytest.mark.parametrize("name", ["notes.txt", "no-such-folder/head"])
+def test_a_name_that_is_not_its_own_is_left_alone(
+    tmp_path: Path, capfd, option: str, name: str
+) -> None:
+    notes, asked = tmp_path / "notes.txt", str(tmp_path / name)
+    notes.write_text("not a head")
+    command = ["simulate", "head", "--protocol", "ptu", option, asked]
+    assert run(cli, "dcam-ctl", command) == 2
+    (told,) = capfd.readouterr().err.splitlines()
+    assert told.startswith(f"dcam-ctl: error: {option} {asked}: ")
+    assert notes.read_text() == "not a head"
+
+
+def test_the_names_of_a_head_that_was_killed_are_taken_over(tmp_path: Path) -> None:
+    with simulated_head(tmp_path, "--protocol", "ptu") as process:
+        process.kill()
+        process.wait()
+        assert os.path.lexists(tmp_path / "head")
+        with simulated_head(tmp_path, "--protocol", "pelco-d"):
+            assert AnglesAsker(tmp_path / "angles")() == (0.0, 0.0)
+
+
 def test_a_frame_taken_on_the_way_shows_where_the_head_was_then(tmp_path: Path) -> None:
     """Triggered on the way, fetched after the move: the image is that of the trigger."""
     now = datetime(2026, 3, 1, tzinfo=UTC)
