@@ -50,7 +50,8 @@ class LensCoverage:
         if self.covered < ENOUGH_COVERED:
             wishes.append(f"bring the board to the {self._emptiest()} of the sub image")
         if not wishes and self.views < ENOUGH_VIEWS:
-            wishes.append(f"{ENOUGH_VIEWS - self.views} more views, each another way")
+            missing = ENOUGH_VIEWS - self.views
+            wishes.append(f"{missing} more view{'s' * (missing > 1)}, each another way")
         return tuple(wishes)
 
     def _emptiest(self) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from core.board import Board
 from core.intrinsics import nominal_lens
-from core.lens_coverage import LensCoverage, lens_coverage
+from core.lens_coverage import ENOUGH_VIEWS, LensCoverage, lens_coverage
 from core.pose import Pose
 from core.resection import resect
 from core.site import FloatArray, Site
@@ -127,9 +127,13 @@ def _rough_pose(bench: Bench, sight: Sight) -> Pose:
 
 
 def latest_lens_views(state: Path) -> FrameSet | None:
-    """Give the latest lens views taken on this state directory, None if there are none."""
+    """Give the latest lens views taken on this state directory, None if there are none.
+
+    A session that was broken off is passed over: its few views must not stand in for all of an
+    earlier one.
+    """
     for directory in sorted((state / FOLDER).glob(f"*{SUFFIX}*"), reverse=True):
         frames = read_frame_set(directory) if (directory / "frames.csv").exists() else None
-        if frames is not None and frames.rows_of("intrinsics"):
+        if frames is not None and len(frames.rows_of("intrinsics")) >= ENOUGH_VIEWS:
             return frames
     return None

@@ -115,13 +115,13 @@ def command(
     With --pan-tilt every view is kept as soon as it is taken: an interrupted run goes on where
     it broke off. A running dcamd pauses meanwhile, and its slots are a gap of that cause.
     """
+    if not pan_tilt and (lens_views is not None or without_lens_views or fresh):
+        msg = "--lens-views, --without-lens-views and --fresh go with --pan-tilt"
+        raise UsageError(msg)
     if intrinsics and not pan_tilt:
         return calibrate_intrinsics(options.config, options.state, directory, as_json=as_json)
     if (directory is not None) == pan_tilt:
         msg = "give one of --from DIR, --pan-tilt, --intrinsics"
-        raise UsageError(msg)
-    if not pan_tilt and (lens_views is not None or without_lens_views or fresh):
-        msg = "--lens-views, --without-lens-views and --fresh go with --pan-tilt"
         raise UsageError(msg)
     config, state = options.config, options.state
     require_owner(state)
@@ -192,7 +192,11 @@ def calibrate_with_head(
         rig = stack.enter_context(opened_rig(config, before))
         if needs_lens and begun is None:
             require_lens_views(rig, lens)
-        with kept_when_interrupted(), progress(_steps(rig, lens, begun), "taking views") as steps:
+        kept = "the views are kept, the same command goes on from there"
+        with (
+            told_when_interrupted(kept),
+            progress(_steps(rig, lens, begun), "taking views") as steps,
+        ):
             session = take_views(rig, state, config.config_hash(), lens, begun, steps.next, _tell)
         run, taken_utc = calibrate_on(config, session.directory, method, skew=skew)
         misfits = _misfits(run)
@@ -205,12 +209,12 @@ def calibrate_with_head(
 
 
 @contextmanager
-def kept_when_interrupted() -> Iterator[None]:
+def told_when_interrupted(what_becomes_of_it: str) -> Iterator[None]:
     """Say what becomes of the views when Ctrl-C or SIGTERM ends the block."""
     try:
         yield
     except KeyboardInterrupt:
-        msg = "interrupted; the views are kept, the same command goes on from there"
+        msg = f"interrupted; {what_becomes_of_it}"
         raise WorkFailedError(msg) from None
 
 
@@ -263,8 +267,12 @@ def calibrate_intrinsics(
             stack.enter_context(stopping_cleanly())
             stack.enter_context(cameras_to_oneself(state, "dcam-ctl calibrate"))
             bench = stack.enter_context(opened_bench(config))
-            stack.enter_context(kept_when_interrupted())
+            kept = "these views are too few to be used; the same command begins anew"
+            stack.enter_context(told_when_interrupted(kept))
             directory = take_lens_views(bench, state, show_lens_view)
+        use = "uses the latest"
+    else:
+        use = f"--lens-views {directory} uses them"
     frames = read_frame_set(directory)
     views = frames.rows_of("intrinsics")
     if not views:
@@ -277,7 +285,7 @@ def calibrate_intrinsics(
     else:
         for line in figures.lines:
             say(line)
-        say(f"Lens views in {directory}; dcam-ctl calibrate --pan-tilt uses the latest.")
+        say(f"Lens views in {directory}; dcam-ctl calibrate --pan-tilt {use}.")
     return ExitCode.DONE if figures.enough else ExitCode.FAILED
 
 

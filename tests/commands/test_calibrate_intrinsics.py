@@ -2,20 +2,30 @@
 
 import json
 import shutil
+import signal
+import subprocess
+import sys
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from core.lens_coverage import COLUMNS, ENOUGH_VIEWS, ROWS, lens_coverage
 from core.pose import Pose
-from core.site import CameraGeometry
+from core.site import CameraGeometry, Site
 from daemon.calibration.lens_session import Bench, latest_lens_views, take_lens_views
+from daemon.calibration.sight import see_board
+from daemon.commands import demo
+from daemon.config.reading import load_config
 from drivers.frameset import read_frame_set, write_table
-from drivers.protocols import CapturedPair
-from tests.commands.conftest import SIMULATED, Ctl
-from tests.commands.test_calibrate_pan_tilt import Watched, watched
+from drivers.protocols import CapturedFrame, CapturedPair, Image
+from drivers.sim.settings import SimSettings
+from drivers.sim.world import World
+from tests.commands.conftest import SEED, SIMULATED, Ctl
+from tests.commands.test_calibrate_pan_tilt import ROOT, Watched, watched
 
 CAMERA = CameraGeometry(width_px=600, height_px=400, pixel_pitch_um=5.86, focal_length_mm=6.0)
 
@@ -102,6 +112,8 @@ def test_it_goes_on_until_the_views_are_enough_and_says_so(
     assert judged.code == 0
     result = json.loads(judged.out)
     assert result["enough"]
+    elsewhere = ctl("--config", config, "calibrate", "--intrinsics", "--from", frames.directory)
+    assert f"calibrate --pan-tilt --lens-views {frames.directory} uses them" in elsewhere.out
     true_focal_px = 6000.0 / 17.58  # the rig as built is within 1.5 % of the drawing
     assert result["lens"]["alpha"] == pytest.approx(true_focal_px, rel=0.015)
     assert result["lens_sigma"][0] < 0.002 * true_focal_px
@@ -176,6 +188,31 @@ def test_a_moving_or_covered_board_is_not_kept(held: Watched, tmp_path: Path) ->
     assert said[2] == "view 1 kept"
 
 
+@pytest.fixture(scope="module")
+def full_size_board() -> tuple[Site, Image]:
+    """A board in the hand as the demo's sub-camera sees it, sharp."""
+    site = load_config(demo.SITE).site()
+    world = World(site, SimSettings(seed=SEED))
+    world.hold_board(2)
+    return site, world.render("sub", datetime(2026, 2, 28, tzinfo=UTC))
+
+
+@pytest.mark.parametrize(("blur_px", "kept"), [(2.0, True), (3.5, False)])
+def test_a_blurred_board_is_not_kept(
+    full_size_board: tuple[Site, Image], blur_px: float, kept: bool
+) -> None:
+    site, sharp = full_size_board
+    blurred = cv2.GaussianBlur(sharp, (0, 0), blur_px)
+    frame = CapturedFrame(blurred, 8, 1, 1, 0.0)
+    problems = see_board(CapturedPair(frame, frame, 0.0), site).problems
+    if kept:
+        assert problems == ()
+    else:
+        (problem,) = problems
+        assert problem.startswith("sub camera: edges are 3.")
+        assert "focus the lens" in problem
+
+
 def test_the_head_calibration_uses_the_latest_lens_views(
     ctl: Ctl, config: Path, tmp_path: Path
 ) -> None:
@@ -186,6 +223,40 @@ def test_the_head_calibration_uses_the_latest_lens_views(
     assert ran.code == 0, ran.err
     frames = read_frame_set(Path(json.loads(ran.out)["frames"]))
     assert len(frames.rows_of("intrinsics")) == len(lens.rows)
+
+
+def test_lens_views_that_were_broken_off_do_not_replace_whole_ones(
+    ctl: Ctl, config: Path, tmp_path: Path
+) -> None:
+    """SIGTERM after the first view of a second session; it says that it will not go on."""
+    arguments = ["--config", str(config), "--state", str(tmp_path / "state")]
+    assert ctl(*arguments, "calibrate", "--intrinsics").code == 0
+    whole = latest_lens_views(tmp_path / "state")
+    second = Path(f"{whole.directory}-2")
+    with subprocess.Popen(
+        [sys.executable, "-m", "daemon.ctl", *arguments, "calibrate", "--intrinsics"],
+        cwd=ROOT,
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as program:
+        while program.poll() is None and not (second / "frames.csv").exists():
+            pass
+        program.send_signal(signal.SIGTERM)
+        _, err = program.communicate(timeout=60)
+    assert program.returncode == 1
+    assert err.splitlines()[-1].endswith("too few to be used; the same command begins anew")
+    assert read_frame_set(second).rows_of("intrinsics")
+    assert latest_lens_views(tmp_path / "state").directory == whole.directory
+
+
+@pytest.mark.parametrize("option", ["--fresh", "--without-lens-views"])
+def test_what_is_for_the_head_is_refused_with_the_board_in_the_hand(
+    ctl: Ctl, config: Path, option: str
+) -> None:
+    ran = ctl("--config", config, "calibrate", "--intrinsics", option)
+    assert ran.code == 2
+    assert "go with --pan-tilt" in ran.err
 
 
 def test_a_real_rig_without_lens_views_is_told_to_take_them(ctl: Ctl, tmp_path: Path) -> None:
