@@ -39,6 +39,10 @@ _ACROSS_ROWS = frozenset({Reason.BOARD_SLIPPED, Reason.CAMERA_BUMPED, Reason.CAL
 
 Channel = Literal["false_mm", "slide_mm"]
 _CHANNELS: tuple[Channel, ...] = ("false_mm", "slide_mm")
+_DIRECTIONS = (slice(0, 2), slice(0, 1), slice(1, 2))
+"""In the plane of the target, and x and y alone: a bridge moves far less to the side than up."""
+_ENOUGH = 6
+"""Rows from which on x and y alone are looked at: of fewer, one is soon unusual by chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,28 +151,35 @@ class Continuity:
         return self.misfit is not None and self.misfit > _DRIFT_FACTOR
 
     def _slipped(self, now: Sample) -> Slip | None:
-        if len(self.history) < 2:
+        rows = len(self.history)
+        if rows < 2:
             return None
-        before, steps = self.history[-1], len(self.history) - 1
-        moved_mm = now.mm - before.mm
-        size = float(np.hypot(*moved_mm))
-        noise = 1.5 * (now.sigma_mm + before.sigma_mm)
-        factor = _UNUSUAL * (1.0 + _FEW / steps)
-        for k, channel in enumerate(_CHANNELS, start=1):
-            said_mm = getattr(now, channel) - getattr(before, channel)
-            said = float(np.hypot(*said_mm))
-            if float(np.hypot(*(said_mm + moved_mm))) > _CANCELS * size:
-                continue
-            if size < _MIN_NOISE / 2 * noise[0] or said < _MIN_NOISE / 2 * noise[k]:
-                continue
-            strange = said / (factor * self._usual(channel, now))
-            if strange > _ALONE or (strange > 1.0 and size > factor * self._usual("mm", now)):
-                return Slip(channel, said_mm, now)
+        said = {name: getattr(now, name) - getattr(self.history[-1], name) for name in _CHANNELS}
+        for axes in _DIRECTIONS if rows >= _ENOUGH else _DIRECTIONS[:1]:
+            for sigma_index, channel in enumerate(_CHANNELS, start=1):
+                if self._is_slip(now, channel, sigma_index, axes):
+                    return Slip(channel, said[channel], now)
         return None
+
+    def _is_slip(self, now: Sample, channel: Channel, sigma_index: int, axes: slice) -> bool:
+        """Whether a channel's step is unusual along some axes and the displacement undoes it."""
+        before, steps = self.history[-1], len(self.history) - 1
+        moved_mm = (now.mm - before.mm)[axes]
+        said_mm = (getattr(now, channel) - getattr(before, channel))[axes]
+        size, said = float(np.linalg.norm(moved_mm)), float(np.linalg.norm(said_mm))
+        if float(np.linalg.norm(said_mm + moved_mm)) > _CANCELS * size:
+            return False
+        noise = _MIN_NOISE / 2 * 1.5 * (now.sigma_mm + before.sigma_mm)
+        if size < noise[0] or said < noise[sigma_index]:
+            return False
+        factor = _UNUSUAL * (1.0 + _FEW / steps)
+        strange = said / (factor * self._usual(channel, now, axes))
+        return strange > _ALONE or (strange > 1.0 and size > factor * self._usual("mm", now, axes))
 
     def _undone(self, slip: Slip, now: Sample) -> bool:
         """Whether a row is nearer to where the last one would be without the slip."""
-        scales = [max(self._usual(name, now), 1e-3) for name in (slip.channel, "mm")]
+        plane = _DIRECTIONS[0]
+        scales = [max(self._usual(name, now, plane), 1e-3) for name in (slip.channel, "mm")]
 
         def away(undone_mm: FloatArray) -> float:
             said = getattr(now, slip.channel) - getattr(slip.last, slip.channel) + undone_mm
@@ -191,17 +202,17 @@ class Continuity:
         times = np.array([row.time_s for row in self.history])
         return float(np.median(np.diff(times))) if len(times) > 1 else 0.0
 
-    def _usual(self, name: str, now: Sample) -> float:
+    def _usual(self, name: str, now: Sample, axes: slice) -> float:
         """The largest step of the rows so far; after a gap, or across one, their whole range.
 
         A gap that is longer than the rows so far leaves room for as many times that range.
         """
-        levels = np.array([getattr(row, name) for row in self.history])
-        usual = float(np.hypot(*np.diff(levels, axis=0).T).max())
+        levels = np.array([getattr(row, name)[axes] for row in self.history])
+        usual = float(np.linalg.norm(np.diff(levels, axis=0), axis=1).max())
         gap_s = now.time_s - self.history[-1].time_s
         if gap_s > _GAP * self._interval_s:
             spans = gap_s / max(self.history[-1].time_s - self.history[0].time_s, 1e-9)
-            usual = max(usual, max(spans, 1.0) * float(np.hypot(*np.ptp(levels, axis=0))))
+            usual = max(usual, max(spans, 1.0) * float(np.linalg.norm(np.ptp(levels, axis=0))))
         return max(usual, float(self.history[-1].sigma_mm.max()))
 
 

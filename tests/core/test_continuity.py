@@ -33,6 +33,12 @@ def pier(rng: np.random.Generator, n: int) -> Rows:
     return wander(rng, n, 720.0, 11.0) + slide, slide, bridge
 
 
+def upright(rng: np.random.Generator, n: int) -> Rows:
+    """As `pier`, with a bridge that moves sideways ten times less than up and down."""
+    false, slide, bridge = pier(rng, n)
+    return false, slide, bridge * np.array([0.1, 1.0])
+
+
 def hourly(rng: np.random.Generator, n: int) -> Rows:
     """A row an hour at 22 m: rig and bridge move by millimetres from row to row."""
     slide = wander(rng, n, 12.0, 1.5)
@@ -76,7 +82,8 @@ def judged(
 
 
 @pytest.mark.parametrize(
-    ("kind", "rows", "sets"), [(pier, 600, 10), (hourly, 12, 150), (laboratory, 12, 150)]
+    ("kind", "rows", "sets"),
+    [(pier, 600, 10), (upright, 600, 10), (hourly, 12, 150), (laboratory, 12, 150)],
 )
 def test_what_moves_as_it_always_did_is_no_slip(kind: Callable[..., Rows], rows: int, sets: int):
     rng = np.random.default_rng(3)
@@ -107,6 +114,8 @@ def test_rows_at_random_are_rarely_taken_for_a_slip():
     ("kind", "rows", "slip_mm", "share"),
     [
         (pier, 300, 4.0, 0.9),
+        (upright, 300, 0.5, 0.65),
+        (hourly, 14, 2.0, 0.8),
         (hourly, 14, 4.0, 0.95),
         (laboratory, 12, 0.7, 1.0),
         (laboratory, 12, 2.0, 1.0),
