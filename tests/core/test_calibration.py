@@ -11,6 +11,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from core.calibration import Calibration, Method, ViewRole, calibrate
 from core.errors import CalibrationError, NotObservableError
@@ -201,6 +202,21 @@ def test_paper_is_wrong_on_drift_and_its_rows_are_suspect(
     rows = paper.rows(3)
     assert all(row.measurement.flag is Flag.SUSPECT for row in rows)
     assert _rms([r.error_mm for r in rows]) > 10.0 * _rms([r.error_mm for r in lab_rows[:3]])
+
+
+@pytest.mark.parametrize(("off_deg", "passed"), [(4.0, True), (6.0, False)])
+def test_a_rig_far_from_its_drawing_does_not_pass(
+    lab: Session, off_deg: float, passed: bool
+) -> None:
+    """Drawn to a degree; three angles are 4 degrees off together now and then, 6 never."""
+    rig = lab.calibration.setup.model
+    assert isinstance(rig, Rig)
+    turn = Rotation.from_rotvec(np.array([0.0, 0.0, off_deg]), degrees=True)
+    drawn = (turn * Rotation.from_matrix(rig.T_CM_CS.R)).as_euler("xyz", degrees=True)
+    site = replace(lab.site, rig=replace(lab.site.rig, rotation_main_sub_deg=drawn))
+    _, report = calibrate(lab.views, site)
+    assert report.passed is passed
+    assert any("turned against one another" in line for line in report.lines[:1]) is not passed
 
 
 # ------------------------------------------------------------------ the same again
