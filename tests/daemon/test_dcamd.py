@@ -11,9 +11,11 @@ import sys
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from uuid import UUID
 
 import pytest
 
+from daemon.clock.machine import BOOT_ID_VARIABLE
 from daemon.store.database import Store, open_store
 from daemon.store.records import GapCause, Mark
 from tests.laboratory import laboratory
@@ -174,6 +176,30 @@ def test_killed_and_started_again_nothing_acknowledged_is_lost(site: Site) -> No
         assert acknowledged <= store.measured_slots()
         assert unaccounted(store, period_s=1) == 0
         assert store.measured_slots() >= site.acknowledged(result.stderr)
+
+
+@pytest.mark.parametrize(
+    ("second_boot", "cause"),
+    [("B" * 32, GapCause.POWER_LOSS), ("a" * 32, GapCause.CRASH)],
+    ids=["another boot", "the same boot"],
+)
+def test_the_boot_that_systemd_names_tells_a_cut_from_a_crash(
+    site: Site, monkeypatch: pytest.MonkeyPatch, second_boot: str, cause: GapCause
+) -> None:
+    """A container is cut while the kernel below it goes on; systemd names both without dashes."""
+    monkeypatch.setenv(BOOT_ID_VARIABLE, str(UUID("a" * 32)))
+    process = site.start()
+    site.told(r"^STATUS=slot .* done")
+    process.kill()
+    process.wait(30)
+    monkeypatch.setenv(BOOT_ID_VARIABLE, second_boot)
+    site.configure("[simulation]\nclock_start_utc = 2028-03-01T00:00:30Z\n")
+
+    assert site.run("--max-slots", "1").returncode == 0
+
+    with site.store() as store:
+        assert {gap.cause for gap in store.gaps()} == {cause}
+        assert store.get_mark(Mark.BOOT_ID) == str(UUID(second_boot))
 
 
 def run_on_small_disk(site: Site, slots: int) -> subprocess.CompletedProcess[str]:

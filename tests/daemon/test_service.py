@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from daemon.clock.machine import BOOT_ID_VARIABLE
 from daemon.config.reading import DEFAULT_STATE_DIRECTORY
 from daemon.errors import ExitCode
 from daemon.loop_cache import SHARED
@@ -94,3 +95,4 @@ def test_unit_says_what_the_daemon_relies_on() -> None:
         SHARED,
     )
     assert unit["ExecStart"] == "/opt/dcam/venv/bin/dcamd"
+    assert f"\nEnvironment={BOOT_ID_VARIABLE}=%b\n" in UNIT.read_text()
