@@ -11,15 +11,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from scipy.special import erf
 
 from core.frames import GreyImage
+from core.loops import kept_on_disk
 from core.site import BoolArray, FloatArray
 
 # Sums may be reordered (so that they run on vector units), but NaN and infinity stay exact.
-compiled = njit(
-    cache=True,
+compiled = kept_on_disk(
     nogil=True,
     error_model="numpy",
     boundscheck=False,

@@ -13,8 +13,8 @@ SHARED = Path("/var/cache/dcam")
 def loop_cache(environ: Mapping[str, str] = os.environ, shared: Path = SHARED) -> str | None:
     """Give a directory for NUMBA_CACHE_DIR; None leaves Numba to its own choice.
 
-    Numba chooses the folder of the source or the home directory, and where neither can be written
-    to, as for the user of a monitoring system, it refuses to work at all.
+    Numba chooses the folder of the source or the home directory; where neither can be written to,
+    as for the user of a monitoring system, it would compile them at every start.
     """
     if "NUMBA_CACHE_DIR" in environ:
         return None
@@ -26,13 +26,13 @@ def loop_cache(environ: Mapping[str, str] = os.environ, shared: Path = SHARED) -
         return None
     import tempfile  # `status` is asked every minute, and mostly does not come here
 
-    private = Path(tempfile.gettempdir()) / f"dcam-{os.geteuid()}"
     try:
+        private = Path(tempfile.gettempdir()) / f"dcam-{os.geteuid()}"
         private.mkdir(mode=0o700, exist_ok=True)
-    except OSError:
+        # What lies there is run as a program: never from a directory that somebody else has made.
+        return str(private) if _is_ours(private) else tempfile.mkdtemp(prefix="dcam-")
+    except OSError:  # every disk is full, or read-only
         return None
-    # What lies there is run as a program: never from a directory that somebody else has made.
-    return str(private) if _is_ours(private) else tempfile.mkdtemp(prefix="dcam-")
 
 
 def _is_ours(directory: Path) -> bool:

@@ -20,8 +20,8 @@ OUR_SUFFIXES = {".py", ".mako", ".toml", ".xml", ".sql"}
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 CORE_MAY_IMPORT = {
-    *("__future__", "collections", "dataclasses", "enum", "functools", "itertools", "math"),
-    *("operator", "types", "typing"),
+    *("__future__", "collections", "contextlib", "dataclasses", "enum", "functools", "itertools"),
+    *("math", "operator", "types", "typing"),
     *("core", "cv2", "numba", "numpy", "scipy"),
 }
 """Numerics and the standard library's data types; nothing with a clock, a file or a state."""

@@ -11,9 +11,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from core.loops import kept_on_disk
 from core.site import FloatArray, IntArray
 
 Float32Array = NDArray[np.float32]
@@ -27,6 +27,7 @@ PER_PX = 128
 SLOPES = 32
 """Steps from an edge along an image axis to a diagonal one."""
 
+compiled = kept_on_disk(nogil=True)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
@@ -43,7 +44,7 @@ class Response(NamedTuple):
     """(SLOPES + 1, m) share of u + p v < d for p from 0 to 1; p = 0 is the integral of b."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def undistorted_rays(
     width: int, height: int, fx: float, fy: float, cx: float, cy: float, k: FloatArray
 ) -> Float32Array:  # pragma: no cover - compiled
@@ -77,7 +78,7 @@ def undistorted_rays(
     return rays
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _look(
     rays: Float32Array, R: FloatArray, centre: FloatArray, sheet: FloatArray, row: FloatArray
 ) -> None:  # pragma: no cover - compiled
@@ -105,7 +106,7 @@ def _look(
         row[u, 1] = centre[1] + along * dy
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _at(table: FloatArray, x_px: float) -> float:  # pragma: no cover - compiled
     """Table value at a distance from the middle; the end values go on for ever."""
     at = x_px * PER_PX + (len(table) // 2)
@@ -117,7 +118,7 @@ def _at(table: FloatArray, x_px: float) -> float:  # pragma: no cover - compiled
     return float(table[k] + (at - k) * (table[k + 1] - table[k]))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def edge_share(
     response: Response, edge: tuple[float, float, float]
 ) -> float:  # pragma: no cover - compiled
@@ -131,7 +132,7 @@ def edge_share(
     return near + (slope - k) * (_at(response.edges[k + 1], edge[0] / steep) - near)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def wedge_share(
     response: Response, first: tuple[float, float, float], second: tuple[float, float, float]
 ) -> float:  # pragma: no cover - compiled
@@ -154,7 +155,7 @@ def wedge_share(
     return 1.0 - corner - _beside(response, u0, v0, p) - _beside(response, v0, u0, q)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _beside(
     response: Response, u0: float, v0: float, slope: float
 ) -> float:  # pragma: no cover - compiled
@@ -171,7 +172,7 @@ def _beside(
     return half * total
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _slopes(
     above: FloatArray, here: FloatArray, below: FloatArray, u: int
 ) -> tuple[Slopes, Slopes]:  # pragma: no cover - compiled
@@ -189,7 +190,7 @@ def _slopes(
     return x_slopes, y_slopes
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _cells(
     lines: FloatArray, guess: int, x: float, reach: float
 ) -> tuple[int, int]:  # pragma: no cover - compiled
@@ -205,13 +206,13 @@ def _cells(
     return first, last
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _dark(i: int, j: int, nx: int, ny: int) -> float:  # pragma: no cover - compiled
     """1.0 for a black square, 0.0 for a white one and beyond the board."""
     return 1.0 if 1 <= i <= nx and 1 <= j <= ny and (i + j) % 2 == 0 else 0.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _darkness(
     response: Response,
     x_lines: FloatArray,
@@ -246,7 +247,7 @@ def _darkness(
     return dark
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def render_board(
     rays: Float32Array,
     R: FloatArray,
@@ -287,7 +288,7 @@ def render_board(
         above, here, below = here, below, above
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def add_discs(
     rays: Float32Array,
     R: FloatArray,
@@ -318,7 +319,7 @@ def add_discs(
                 out[v, u] += contrast * _disc_share(response, x, y, discs[d])
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _disc_share(
     response: Response, x: Slopes, y: Slopes, disc: FloatArray
 ) -> float:  # pragma: no cover - compiled

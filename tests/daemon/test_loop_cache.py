@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import inspect
 import os
 import shutil
@@ -46,3 +47,14 @@ def test_a_user_who_may_write_nowhere_gets_a_folder_of_his_own() -> None:
         )
         there = Path(done.stdout.strip()).stat()
         assert (there.st_uid, stat.S_IMODE(there.st_mode)) == (65534, 0o700)
+
+
+def test_where_no_disk_can_be_written_to_programs_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As with a root file system that an error has turned read-only."""
+
+    def no_directory() -> str:
+        raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found")
+
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.setattr(tempfile, "gettempdir", no_directory)
+    assert loop_cache({"HOME": "/"}, Path("/nowhere")) is None
