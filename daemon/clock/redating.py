@@ -126,7 +126,15 @@ def redate(
     true_utc: TrueTime,
 ) -> Redated:
     """Give rows and undated pairs the slots nearest to their true times. Raises StoreError."""
-    waiting, moved = list(rows), 0
+    leaving, moved = {row.slot_utc for row in rows}, 0
+    waiting: list[MeasurementRecord] = []
+    blocked: list[MeasurementRecord] = []
+    for row in rows:
+        slot_utc = books.schedule.nearest(true_utc(row))
+        may_move = slot_utc in leaving or books.store.measurement(slot_utc) is None
+        (waiting if may_move else blocked).append(row)
+    for row in blocked:  # first: the slot that it leaves may be another one's
+        _set_aside(books, row)
     while waiting:  # a row may have to wait for the one in its place to go
         backwards = true_utc(waiting[0]) < waiting[0].slot_utc
         waiting.sort(key=lambda row: row.slot_utc, reverse=not backwards)
@@ -137,9 +145,10 @@ def redate(
         waiting = refused
     for row in waiting:
         _set_aside(books, row)
+    blocked += waiting
     results = [_date(books, number, record, true_utc(record)) for number, record in undated]
     books.store.set_mark(Mark.MOVING_TO_UTC, None)
-    return Redated(results.count(True), moved, len(waiting) + results.count(False))
+    return Redated(results.count(True), moved, len(blocked) + results.count(False))
 
 
 def mend_undated(line: Pipeline) -> None:

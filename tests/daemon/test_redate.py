@@ -116,6 +116,21 @@ def test_rows_of_an_hour_of_a_wrong_clock_are_shifted(station, redate) -> None:
     assert [minute_of(row.redated_from_utc) for row in moved] == [61, 62, 63]
 
 
+def test_rows_that_others_keep_from_their_slots_are_in_nobodys_way(station, redate) -> None:
+    """Of five rows two minutes early the last two find others there, and free their own slots."""
+    station.run(7)
+    station.clock.advance(3_600)
+    span = ["--since", "2026-03-01T12:00", "--until", "2026-03-01T12:05", "--shift", "120"]
+    foretold = redate(*span, "--dry-run")[1]
+    code, out, _ = redate(*span)
+    assert (code, foretold.replace("would be ", "")) == (1, out)
+    assert "3 rows moved\n2 left undated" in out
+    assert station.minutes() == [2, 3, 4, 5, 6]
+    moved = [row for row in station.store.measurements() if row.redated_from_utc]
+    assert [minute_of(row.redated_from_utc) for row in moved] == [0, 1, 2]
+    assert len(station.store.undated()) == 2
+
+
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
