@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import resource
 import socket
 import threading
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from daemon.errors import HardwareError
+from daemon.operator import control
 from daemon.operator.control import MAX_CONNECTIONS, SOCKET_NAME, control_socket, paused_daemon
 from daemon.operator.pause import Pause
 from daemon.runner import SlotRunner
@@ -53,6 +55,17 @@ def connected(state: Path) -> Iterator[socket.socket]:
         connection.settimeout(DEADLINE_S)
         connection.connect(str(state / SOCKET_NAME))
         yield connection
+
+
+@contextlib.contextmanager
+def handles_for(connections: int) -> Iterator[None]:
+    """Let this process, which is both ends of them, have so many connections open."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, min(hard, 2 * connections + 200)), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 def ask(connection: socket.socket, line: bytes) -> dict:
@@ -169,14 +182,36 @@ def test_a_line_without_end_closes_that_connection_only(served: Served) -> None:
 
 def test_a_crowd_of_silent_connections_does_not_stop_the_slots(served: Served) -> None:
     state = served.station.state
-    with contextlib.ExitStack() as crowd:
+    with contextlib.ExitStack() as crowd, handles_for(1000):
         silent = []
-        for _ in range(200):
+        for _ in range(1000):
             with contextlib.suppress(OSError):  # refused is as good
                 silent.append(crowd.enter_context(connected(state)))
         assert len(silent) >= MAX_CONNECTIONS
         served.runner.run(3)
     assert served.station.minutes() == [0, 1, 2]
+    with paused_daemon(state, "calibration") as paused:
+        assert paused
+
+
+def test_who_asks_and_never_reads_is_let_go_and_delays_nobody(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(control, "REQUEST_TIMEOUT_S", 0.5)
+    state = served.station.state
+    with connected(state) as slow:
+        slow.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            while True:  # until neither the answers nor the requests find room any more
+                slow.send(b'{"command": "status"}\n' * 100)
+        with connected(state) as other:
+            assert ask(other, b'{"command": "status"}')["ok"]
+        served.runner.run(2)
+        slow.settimeout(DEADLINE_S)
+        with contextlib.suppress(ConnectionError):
+            while True:
+                slow.sendall(b'{"command": "status"}\n')
+    assert served.station.minutes() == [0, 1]
     with paused_daemon(state, "calibration") as paused:
         assert paused
 
