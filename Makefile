@@ -59,5 +59,5 @@ $(VENV)/.stamp-venv:
 # The `aravis` extra is for other systems: here PyGObject is Debian's, which pip would not accept
 # without compiling pycairo.
 $(INSTALLED): pyproject.toml $(VENV)/.stamp-venv
-	$(BIN)/python -m pip install --quiet --editable ".[plot]" --group dev
+	$(BIN)/python -m pip install --quiet --editable ".[plot,alarm]" --group dev
 	@touch $@

@@ -6,7 +6,9 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
+from daemon.errors import lines_of
 from daemon.health import CAMERA_CAUSES, DAY, Daemon, Disk, Facts
+from daemon.store.errors import DatabaseDamagedError
 from daemon.store.records import Coverage
 from daemon.wording import bytes_text, coverage_text, span_text, utc_text, value_text
 
@@ -47,6 +49,12 @@ def worst(items: list[Item]) -> Level:
     """The worst of the levels known; what is unknown counts only if nothing is wrong."""
     bad = [item.level for item in items if item.level in {Level.WARNING, Level.CRITICAL}]
     return max(bad, default=max((item.level for item in items), default=Level.UNKNOWN))
+
+
+def no_verdict(error: Exception) -> Item:
+    """Say why nothing else can be said."""
+    level = Level.CRITICAL if isinstance(error, DatabaseDamagedError) else Level.UNKNOWN
+    return Item("status", level, "; ".join(lines_of(error)))
 
 
 def judge(facts: Facts) -> list[Item]:

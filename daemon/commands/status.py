@@ -9,11 +9,9 @@ import click
 
 from daemon.commands.options import Options, common_options, json_option, pass_options, utc_time
 from daemon.commands.output import gap_fields, print_json, print_table, result_fields, say
-from daemon.errors import lines_of
 from daemon.health import Facts, look
-from daemon.store.errors import DatabaseDamagedError
 from daemon.store.records import Coverage
-from daemon.verdict import Item, Level, judge, worst
+from daemon.verdict import Item, Level, judge, no_verdict, worst
 from daemon.wording import utc_text
 
 
@@ -47,12 +45,13 @@ def command(options: Options, at_utc: datetime | None, as_json: bool) -> int:
 
 def tell_failure(error: Exception, *, as_json: bool) -> Level:
     """Tell on stdout, where a monitoring system reads, why there is no verdict."""
-    level = Level.CRITICAL if isinstance(error, DatabaseDamagedError) else Level.UNKNOWN
-    line = "; ".join(lines_of(error))
+    why = no_verdict(error)
+    level, name = why.level, why.level.name
     if as_json:
-        print_json({"command": "status", "level": level.name.lower(), "code": level, "error": line})
+        fields = {"level": name.lower(), "code": level, "error": why.text}
+        print_json({"command": "status", **fields})
     else:
-        say(f"DCAM {level.name} - {line}")
+        say(f"DCAM {name} - {why.text}")
     return level
 
 

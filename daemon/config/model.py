@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, PrivateAttr, Strict
 
 from core.site import Site
+from daemon.config.alarm import AlarmSection
 from daemon.config.site import (
     CamerasSection,
     Directory,
@@ -276,6 +277,7 @@ class Config(Section):
     quality: QualitySection = QualitySection()
     storage: StorageSection = StorageSection()
     retention: RetentionSection = RetentionSection()
+    alarm: AlarmSection = AlarmSection()
     log: LogSection = LogSection()
     replay: ReplaySection = ReplaySection()
     simulation: SimulationSection = SimulationSection()

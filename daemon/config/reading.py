@@ -27,7 +27,9 @@ __all__ = [
     "Config",
     "Installation",
     "SimulationSection",
+    "find_config",
     "find_installation",
+    "find_state",
     "load_config",
 ]
 
@@ -172,10 +174,22 @@ def find_installation(
 
     Raises ConfigError.
     """
-    path = config_flag or _from_environment(environ, "DCAM_CONFIG") or DEFAULT_CONFIG_PATH
+    path = find_config(config_flag, environ)
     config = load_config(path)
-    state = state_flag or _from_environment(environ, "DCAM_STATE") or config.storage.directory
-    return Installation(config_path=path, config=config, state_directory=state.absolute())
+    state = find_state(state_flag, config.storage.directory, environ)
+    return Installation(config_path=path, config=config, state_directory=state)
+
+
+def find_config(flag: Path | None, environ: Mapping[str, str] = os.environ) -> Path:
+    """Settle which config counts."""
+    return flag or _from_environment(environ, "DCAM_CONFIG") or DEFAULT_CONFIG_PATH
+
+
+def find_state(
+    flag: Path | None, configured: Path, environ: Mapping[str, str] = os.environ
+) -> Path:
+    """Settle which state directory counts, where the config names this one."""
+    return (flag or _from_environment(environ, "DCAM_STATE") or configured).absolute()
 
 
 def _from_environment(environ: Mapping[str, str], name: str) -> Path | None:

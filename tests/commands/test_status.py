@@ -9,105 +9,18 @@ import os
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import closing
-from datetime import UTC, date, datetime, timedelta
+from datetime import date, timedelta
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
-from core.calibration import CalibrationReport
-from core.results import Displacement, Flag, Measurement, Reason, RigMotion
 from daemon.clock.machine import read_boot_id, uptime_s
-from daemon.config.reading import load_config
 from daemon.lock import sole_writer
 from daemon.operator.run_state import LastSlot, LostCamera, RunState, write_run_state
-from daemon.store.database import Store, open_store
-from daemon.store.records import CalibrationRecord, FrameDay, GapCause, Mark, MeasurementRecord
-from tests.commands.conftest import SIMULATED, Ctl, Ran
-
-START = datetime(2026, 3, 1, tzinfo=UTC)
-MINUTE = timedelta(minutes=1)
-GOOD = Measurement(
-    Flag.GOOD,
-    (),
-    Displacement(np.array([0.5, -1.25]), np.diag([0.01, 0.04])),
-    Displacement(np.array([7.0, 9.0]), np.diag([0.01, 0.04])),
-    RigMotion(np.zeros(3), np.zeros(3), np.eye(6)),
-)
-DARK = Measurement(Flag.BAD, (Reason.TOO_DARK,), None, None, None)
-
-
-class Site:
-    """A state with an hour of rows, to be changed by a test and looked at from outside."""
-
-    def __init__(self, directory: Path, ctl: Ctl) -> None:
-        self._ctl = ctl
-        self.config = directory / "dcam.toml"
-        self.state = directory / "state"
-        self.config.write_text(SIMULATED)
-        self.end = START
-
-    def write(self, change: Callable[[Store], None]) -> None:
-        """Change the database."""
-        with open_store(self.state) as store:
-            change(store)
-
-    def measure(
-        self, minutes: int, measurement: Measurement = GOOD, frame: str | None = "frames/kept.png"
-    ) -> None:
-        """Add a row a minute; without a frame where the disk had no room for it."""
-        hash_ = load_config(self.config).config_hash()
-        for _ in range(minutes):
-            record = MeasurementRecord(
-                self.end, measurement, hash_, "1.0", main_frame=frame, sub_frame=frame
-            )
-            self.write(lambda store, row=record: store.add_measurement(row))
-            self.end += MINUTE
-
-    def miss(self, minutes: int, cause: GapCause) -> None:
-        """Add a gap."""
-        first, self.end = self.end, self.end + minutes * MINUTE
-        last = self.end - MINUTE
-        self.write(lambda store: store.record_gap(first, last, cause, "why", period_s=60) or None)
-
-    def calibrate(self, *, passed: bool = True, config_hash: str | None = None) -> None:
-        """Add an active calibration."""
-        record = CalibrationRecord(
-            created_utc=START,
-            content={"method": "rigid"},
-            report=CalibrationReport(passed, ("the verdict",), {}),
-            config_hash=config_hash or load_config(self.config).config_hash(),
-            version="1.0",
-        )
-        self.write(lambda store: store.add_calibration(record, activate=True) and None)
-
-    def ctl(self, *arguments: object) -> Ran:
-        """Run a command on this site."""
-        return self._ctl("--config", self.config, "--state", self.state, *arguments)
-
-    def status(self, late: timedelta = timedelta(seconds=30), *, running: bool = True) -> Ran:
-        """`status --json` so long after the last slot, beside a daemon that holds the lock."""
-        at = (self.end - MINUTE + late).isoformat()
-        if not running:
-            return self.ctl("status", "--json", "--at", at)
-        with sole_writer(self.state):
-            return self.ctl("status", "--json", "--at", at)
-
-    def levels(self, ran: Ran) -> dict[str, str]:
-        """The level of each item."""
-        return {item["name"]: item["level"] for item in json.loads(ran.out)["items"]}
-
-
-@pytest.fixture
-def site(tmp_path: Path, ctl: Ctl) -> Site:
-    """A calibrated site with ten good rows."""
-    made = Site(tmp_path, ctl)
-    made.calibrate()
-    made.measure(10)
-    return made
+from daemon.store.records import FrameDay, GapCause, Mark
+from tests.commands.conftest import DARK, MINUTE, SIMULATED, START, Ctl, Ran, Site
 
 
 def test_a_site_that_runs_is_ok(site: Site) -> None:

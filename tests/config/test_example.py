@@ -26,7 +26,9 @@ CHOSEN_FOR_THE_EXAMPLE = {
 def flatten(tables: dict[str, Any], above: str = "") -> dict[str, Any]:
     keys: dict[str, Any] = {}
     for name, value in tables.items():
-        table = value[0] if isinstance(value, list) and isinstance(value[0], dict) else value
+        table = (
+            value[0] if isinstance(value, list) and value and isinstance(value[0], dict) else value
+        )
         if isinstance(table, dict):
             keys |= flatten(table, f"{above}{name}.")
         else:

@@ -16,7 +16,10 @@ from daemon.operator.run_state import RUNTIME_DIRECTORY
 
 USAGE, CONFIG = ExitCode.USAGE, ExitCode.CONFIG
 ROOTS = ("/var/lib", "/run", "/var/cache")
-UNIT = Path(__file__).parents[2] / "systemd" / "dcamd.service"
+UNITS = Path(__file__).parents[2] / "systemd"
+UNIT = UNITS / "dcamd.service"
+
+TIMER = "dcam-alarm.timer"
 
 needs_systemd = pytest.mark.skipif(
     not shutil.which("systemd-analyze"), reason="systemd-analyze is not installed"
@@ -36,29 +39,32 @@ def service() -> configparser.SectionProxy:
 
 
 @needs_systemd
-def test_systemd_has_nothing_to_say_against_the_unit(tmp_path: Path) -> None:
+def test_systemd_has_nothing_to_say_against_the_units(tmp_path: Path) -> None:
     """The installed programs are not here: stand-ins take their places, nothing else is changed."""
     installed = Path(service()["ExecStart"]).parent
-    for program in (service()["ExecStart"], service()["ExecReload"].split()[0]):
-        stand_in = tmp_path / Path(program).name
+    for program in ("dcamd", "dcam-ctl"):
+        stand_in = tmp_path / program
         stand_in.write_text("#!/bin/sh\n")
         stand_in.chmod(0o755)
-    unit = tmp_path / "dcamd.service"
-    unit.write_text(UNIT.read_text().replace(f"{installed}/", f"{tmp_path}/"))
+    units = [tmp_path / name for name in ("dcamd.service", "dcam-alarm.service", TIMER)]
+    for unit in units:
+        text = (UNITS / unit.name).read_text()
+        unit.write_text(text.replace(f"{installed}/", f"{tmp_path}/"))
 
     result = subprocess.run(
-        ["systemd-analyze", "verify", str(unit)], capture_output=True, text=True, check=False
+        ["systemd-analyze", "verify", *map(str, units)], capture_output=True, text=True, check=False
     )
 
-    complaints = [line for line in result.stderr.splitlines() if "dcamd" in line]
+    complaints = [line for line in result.stderr.splitlines() if "dcam" in line]
     assert (result.returncode, complaints) == (0, [])
 
 
 @needs_systemd
-def test_systemd_rates_the_unit_as_locked_in() -> None:
+@pytest.mark.parametrize("name", ["dcamd.service", "dcam-alarm.service"])
+def test_systemd_rates_the_unit_as_locked_in(name: str) -> None:
     """At most 1.5 of 10; more would be reachable than two cameras, a serial port and its files."""
     result = subprocess.run(
-        ["systemd-analyze", "security", "--offline=true", "--threshold=15", str(UNIT)],
+        ["systemd-analyze", "security", "--offline=true", "--threshold=15", str(UNITS / name)],
         capture_output=True,
         text=True,
         check=False,

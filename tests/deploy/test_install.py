@@ -62,6 +62,8 @@ def release(tree: Path) -> str:
 def test_what_the_service_needs_is_in_place(installed: Path) -> None:
     for name in (
         "lib/systemd/system/dcamd.service",
+        "lib/systemd/system/dcam-alarm.service",
+        "lib/systemd/system/dcam-alarm.timer",
         "lib/sysusers.d/dcam.conf",
         "lib/tmpfiles.d/dcam.conf",
         "lib/sysctl.d/60-dcam.conf",
@@ -182,7 +184,12 @@ def test_debian_package_holds_it_all(tmp_path: Path) -> None:
         files[name.removeprefix(".")] = mode
     assert files["/opt/dcam/venv/bin/dcamd"] == "-rwxr-xr-x"
     assert files["/usr/bin/dcam-ctl"].startswith("l")
-    for name in ("systemd/system/dcamd.service", "udev/rules.d/60-dcam.rules", "dcam/live"):
+    units = ("dcamd.service", "dcam-alarm.service", "dcam-alarm.timer")
+    for name in (
+        *(f"systemd/system/{unit}" for unit in units),
+        "udev/rules.d/60-dcam.rules",
+        "dcam/live",
+    ):
         assert f"/usr/lib/{name}" in files
     assert not [name for name in files if name.startswith(("/etc/", "/var/", "/usr/local/"))]
     ask("--control", str(package), str(tmp_path / "control"))

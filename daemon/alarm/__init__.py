@@ -1,0 +1,1 @@
+"""Tells people that something is wrong, whether dcamd lives or not."""
