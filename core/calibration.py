@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from core.board import Board
+from core.board_place import place_reference
 from core.calibration_report import write_report
 from core.dual import (
     Method,
@@ -73,7 +74,11 @@ def calibrate(
     seen, rejected = look(views, site, recipe.board)
     start, misfits = start_from_views(seen, recipe)
     seen = seen.without({name for name, _ in misfits})
-    fit, choice = fit_chosen(relocate(seen, start.lens, recipe.board), start, recipe)
+    seen = relocate(seen, start.lens, recipe.board)
+    placed = place_reference(seen, start.lens, site, recipe.board)
+    if placed is not seen:
+        seen = relocate(placed, start.lens, recipe.board)
+    fit, choice = fit_chosen(seen, start, recipe)
     fit, bad = without_misfits(fit, recipe)
     fit, moved = without_moved_targets(fit, recipe)
     setup = setup_of(fit, recipe)
