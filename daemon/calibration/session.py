@@ -145,7 +145,7 @@ def take_views(
 ) -> Session:
     """Take what a calibration needs: lens views (given or taken), the zero, all positions.
 
-    The rig ends where it began, also after an error, and the head is halted first. Raises
+    The rig ends where it began; after an error the head is halted, and stays where it is. Raises
     CalibrationError for what the first look shows, HardwareError, HeadError, DeviceError, OSError.
     """
     try:
