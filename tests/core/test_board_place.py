@@ -19,7 +19,7 @@ from tests.core.sessions import Session
 
 
 def test_a_board_higher_than_the_image_and_off_its_middle_calibrates() -> None:
-    """Neither its upper nor its lower border is seen, and the middle place is the wrong one."""
+    """Neither its upper nor its lower border is seen; the lens views know the print."""
     site = replace(small_site(), sub_target=CheckerboardTarget(22, 19, 2.0, 48.0))
     world = World(site, SimSettings(seed=3))
     held = lens_views(world, 12)
