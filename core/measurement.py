@@ -55,7 +55,7 @@ def measure_pair(
         )
         reasons += judge_value(corrected, site)
     if main_seen is not None and common is not None:
-        reasons += judge_main(setup, main_seen.discs, common)
+        reasons += judge_main(setup, main_seen.discs, common if sub_seen else None)
     if skew_s is not None and abs(skew_s) * 1e3 > site.quality.max_skew_ms:
         reasons.append(Reason.NOT_SIMULTANEOUS)
     unique = tuple(dict.fromkeys(reasons))

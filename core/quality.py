@@ -45,13 +45,16 @@ def overexposed(image: GreyImage) -> bool:
     return share > _SATURATED_SHARE
 
 
-def judge_main(setup: Setup, discs: Discs, shift: Shift) -> list[Reason]:
-    """What is doubtful about the main target."""
+def judge_main(setup: Setup, discs: Discs, shift: Shift | None) -> list[Reason]:
+    """What is doubtful about the main target; shift is what is left with the rig's motion off.
+
+    None where that is not known: the rig's roll turns the discs about one another, too.
+    """
     reasons = []
     wanted = np.isfinite(setup.reference_discs_px).all(axis=1)
     if (discs.clean[wanted] < _CLEAN).any() or not discs.found[wanted].all():
         reasons.append(Reason.MAIN_TARGET_PARTLY_HIDDEN)
-    if shift.residual_px > _MAIN_RESIDUAL_PX:
+    if shift is not None and shift.residual_px > _MAIN_RESIDUAL_PX:
         reasons.append(Reason.MAIN_TARGET_DISTURBED)
     if discs.blur_px > _BLUR_FACTOR * max(setup.levels.main_blur_px, 1.0):
         reasons.append(Reason.BLURRED)

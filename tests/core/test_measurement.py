@@ -131,6 +131,20 @@ def test_more_bits_measure_the_same(lab: Session, bits) -> None:
 # ------------------------------------------------------------------ weather and animals
 
 
+def test_a_rolled_rig_does_not_disturb_the_main_target_where_the_board_is_not_seen(
+    lab: Session,
+) -> None:
+    """The roll turns the discs about one another; only the sub-camera could say by how much."""
+    start = lab.world.settings.start_utc
+    hours = [start + 60 * k * MINUTE for k in range(1, 25)]
+    rolled = max(hours, key=lambda t: abs(lab.world.truth(t).motion.rotation_rad[2]))
+    main, _ = lab.pair(rolled)
+    measured = measure_pair(main, None, lab.site, lab.calibration)
+    assert measured.diagnostics.main_residual_px is not None
+    assert measured.diagnostics.main_residual_px > 0.05
+    assert measured.reasons == (Reason.SUB_IMAGE_MISSING,)
+
+
 def test_night_is_bad_and_too_dark(lab: Session) -> None:
     measured = _rows(lab.with_world(Scenario("night")), 1)[0].measurement
     _assert_consistent(measured)
