@@ -85,14 +85,15 @@ class SlotRunner:
             self._require_sound()
             slot = self._next_slot()
             self._settle_debts()
-            if not self._line.clock.wait_until(slot, self._stop):
+            far_s = (slot - self._seen[0]).total_seconds()
+            if not self._line.clock.wait_until(slot, self._stop, far_s):
                 break
             self._watch_clock()
-            now_utc = self._line.clock.now_utc()
+            now_utc = self._read_clock()
             if now_utc < slot or self._schedule.is_too_late(slot, now_utc):
                 continue  # the clock was stepped, back or forth
             self._begun_s = self._line.clock.monotonic_s()
-            if self._is_behind():
+            if self._is_behind(now_utc):
                 self._run_undated(slot)
             else:
                 self._run(slot)
@@ -110,8 +111,8 @@ class SlotRunner:
     def _next_slot(self) -> datetime:
         """Choose the next slot; those that have gone by unused become a gap."""
         self._watch_clock()
-        now_utc = self._line.clock.now_utc()
-        if self._is_behind():
+        now_utc = self._read_clock()
+        if self._is_behind(now_utc):
             # Half a period from the pair before, or both would be nearest to one true slot.
             passed_s = self._line.clock.monotonic_s() - self._begun_s
             rest_s = max(self._schedule.period_s / 2 - passed_s, 0.0)
@@ -127,9 +128,9 @@ class SlotRunner:
 
     def _tend_disk(self, slot: datetime) -> None:
         """Make room between slots, as long as that delays none."""
-        if self._is_behind():
-            return
         now_utc = self._line.clock.now_utc()
+        if self._is_behind(now_utc):
+            return
         next_utc = self._schedule.next_slot(now_utc, self._last)
         self._line.disk.tend(slot, (next_utc - now_utc).total_seconds())
 
@@ -248,12 +249,21 @@ class SlotRunner:
     def _look_at_clocks(self) -> tuple[datetime, float]:
         return self._line.clock.now_utc(), self._line.clock.monotonic_s()
 
-    def _is_behind(self) -> bool:
-        now_utc = self._line.clock.now_utc()
+    def _is_behind(self, now_utc: datetime) -> bool:
         return self._last is not None and self._schedule.is_behind(now_utc, self._last)
 
     def _watch_clock(self) -> None:
         """Notice a wall clock that was stepped, that is before the last slot, or is right again."""
+        utc = self._read_clock()
+        if self._is_behind(utc) and not self._clock_trouble:
+            self._note_clock(f"the clock said {utc:%Y-%m-%dT%H:%M:%SZ}, before the last slot")
+        is_right = self._line.machine.clock_synchronised()
+        if is_right and not self._was_right:
+            self._put_right()
+        self._was_right = is_right
+
+    def _read_clock(self) -> datetime:
+        """Give the time; a step since it was last read is noted before anything follows from it."""
         utc, monotonic_s = self._look_at_clocks()
         step_s = (utc - self._seen[0]).total_seconds() - (monotonic_s - self._seen[1])
         self._seen = utc, monotonic_s
@@ -261,12 +271,7 @@ class SlotRunner:
             slept = ", or the machine slept" if step_s > 0 else ""
             self._note_clock(f"the clock was stepped by {step_s:+.0f} s{slept}")
             self._apart = self._last_undated = self._was_right = None
-        if self._is_behind() and not self._clock_trouble:
-            self._note_clock(f"the clock said {utc:%Y-%m-%dT%H:%M:%SZ}, before the last slot")
-        is_right = self._line.machine.clock_synchronised()
-        if is_right and not self._was_right:
-            self._put_right()
-        self._was_right = is_right
+        return utc
 
     def _put_right(self) -> None:
         """Date what this boot took while the clock was wrong: it is right now."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from datetime import UTC, datetime, timedelta
@@ -25,14 +26,18 @@ class SystemClock:
         """Sleep."""
         time.sleep(max(seconds, 0.0))
 
-    def wait_until(self, when_utc: datetime, stop: threading.Event) -> bool:
+    def wait_until(
+        self, when_utc: datetime, stop: threading.Event, longest_s: float = math.inf
+    ) -> bool:
         """Wait for a wall-clock time; False if `stop` was set before.
 
         The wall clock is read again every `SLICE_S`, because NTP or an operator may step it while
         we sleep: after a step forward the wait ends within a slice. It takes no more than a slice
         longer than by the clock as it was at first: after a step back the time is not reached.
+        Whoever chose the time by an earlier look at the clock gives how far it was then.
         """
-        end_s = self.monotonic_s() + (when_utc - self.now_utc()).total_seconds() + SLICE_S
+        planned_s = (when_utc - self.now_utc()).total_seconds()
+        end_s = self.monotonic_s() + min(planned_s, longest_s) + SLICE_S
         while not stop.is_set():
             left_s = (when_utc - self.now_utc()).total_seconds()
             if left_s <= 0.0 or self.monotonic_s() > end_s:
@@ -69,12 +74,16 @@ class SteppedClock:
         """Be so much later at once."""
         self.advance(max(seconds, 0.0))
 
-    def wait_until(self, when_utc: datetime, stop: threading.Event) -> bool:
+    def wait_until(
+        self, when_utc: datetime, stop: threading.Event, longest_s: float = math.inf
+    ) -> bool:
         """Be at that time at once; False if `stop` is set. A time in the past changes nothing."""
         if stop.is_set():
             return False
         with self._lock:
-            self._go_to(when_utc)
+            planned_s = (when_utc - self._now).total_seconds()
+            late_s = planned_s - longest_s - SLICE_S
+            self._go_to(when_utc - timedelta(seconds=late_s) if late_s > 0.0 else when_utc)
         return True
 
     def advance(self, seconds: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import dataclass
 from datetime import datetime
@@ -245,10 +246,12 @@ class Clock(Protocol):
         """Let monotonic time pass, whatever becomes of the wall clock."""
         ...
 
-    def wait_until(self, when_utc: datetime, stop: threading.Event) -> bool:
+    def wait_until(
+        self, when_utc: datetime, stop: threading.Event, longest_s: float = math.inf
+    ) -> bool:
         """Wait for a wall-clock time; False if `stop` was set before.
 
-        Ends about when it should by monotonic time at the latest: a clock that is stepped back
-        meanwhile says less than that time afterwards.
+        Ends about when it should by monotonic time, or after `longest_s` of it, at the latest: a
+        clock that is stepped back meanwhile says less than that time afterwards.
         """
         ...

@@ -2,12 +2,13 @@
 
 import os
 from datetime import datetime, timedelta
+from itertools import count
 
 import pytest
 
 from daemon.clock.redating import put_right
 from daemon.recovery import recover
-from daemon.store.records import Mark
+from daemon.store.records import GapCause, Mark
 from drivers.frameset import read_frame_set
 from tests.daemon.times import minute_of, slot
 
@@ -71,6 +72,40 @@ def test_clock_stepped_back_overwrites_and_invents_nothing(station) -> None:
     assert [record.boot_id for record in undated] == ["boot-1", "boot-1"]
     assert [record.uptime_s for record in undated] == [150.0, 210.0]
     assert all((station.state / record.main_frame).is_file() for record in undated)
+
+
+def stepped_after_look(make_station, number: int, shift: timedelta):
+    """Four slots; the clock is stepped as soon as the daemon has looked at it so many times."""
+    station = make_station()
+    runner, clock, looks = station.start(), station.clock, count()
+    look = clock.now_utc
+
+    def look_and_step() -> datetime:
+        seen = look()
+        if next(looks) == number:
+            clock.set_utc(seen + shift)
+        return seen
+
+    clock.now_utc = look_and_step
+    begun_s = clock.monotonic_s()
+    runner.run(4)
+    assert next(looks) > number
+    return station, clock.monotonic_s() - begun_s
+
+
+@pytest.mark.parametrize("number", range(20))
+def test_a_step_between_any_two_looks_at_the_clock_is_never_an_overrun(
+    make_station, number: int
+) -> None:
+    station, _ = stepped_after_look(make_station, number, timedelta(days=1))
+    assert {gap.cause for gap in station.store.gaps()} <= {GapCause.CLOCK_WRONG}
+
+
+@pytest.mark.parametrize("number", range(20))
+def test_a_step_back_between_any_two_looks_puts_nothing_to_sleep(make_station, number: int) -> None:
+    station, lasted_s = stepped_after_look(make_station, number, timedelta(days=-1))
+    assert lasted_s < 6 * 60
+    assert {gap.cause for gap in station.store.gaps()} <= {GapCause.CLOCK_WRONG}
 
 
 def test_a_step_back_of_less_than_a_period_waits_for_the_next_slot(station) -> None:

@@ -64,6 +64,14 @@ def test_step_back_ends_the_wait_as_if_there_was_none(monkeypatch: pytest.Monkey
     assert clock.now_utc() < when
 
 
+def test_a_step_back_just_before_the_wait_is_none_either(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The time was chosen 50 ms ahead, and then the clock was stepped back by a day."""
+    monkeypatch.setattr(clock_module, "SLICE_S", 0.01)
+    clock = _Wall([START - timedelta(days=1)])
+    assert clock.wait_until(START, threading.Event(), longest_s=0.05)
+    assert clock.now_utc() < START
+
+
 def test_stop_ends_the_wait() -> None:
     """A stop set before or during the wait gives False at once."""
     clock = SystemClock()
