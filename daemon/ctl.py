@@ -29,6 +29,7 @@ COMMANDS = {
     "reload": "Have the running dcamd read its config anew.",
     "status": "Last value, cameras, coverage, gaps, disk; Nagios exit codes.",
     "alarm": "Tell people of what status finds wrong; asked by a timer.",
+    "metrics": "What status knows, for Prometheus.",
     "gaps": "List slots without a measurement, and why.",
     "export": "Write measurements as a table.",
     "plot": "Draw a figure of the record, PNG or SVG.",

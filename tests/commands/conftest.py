@@ -20,7 +20,7 @@ from daemon.ctl import cli
 from daemon.errors import run
 from daemon.lock import sole_writer
 from daemon.store.database import Store, open_store
-from daemon.store.records import CalibrationRecord, GapCause, MeasurementRecord
+from daemon.store.records import CalibrationRecord, CameraState, GapCause, MeasurementRecord
 from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
 from drivers.sim.settings import SimSettings
 from tests.laboratory import laboratory
@@ -137,13 +137,17 @@ class Site:
             change(store)
 
     def measure(
-        self, minutes: int, measurement: Measurement = GOOD, frame: str | None = "frames/kept.png"
+        self,
+        minutes: int,
+        measurement: Measurement = GOOD,
+        frame: str | None = "frames/kept.png",
+        **more: CameraState,
     ) -> None:
         """Add a row a minute; without a frame where the disk had no room for it."""
         hash_ = load_config(self.config).config_hash()
         for _ in range(minutes):
             record = MeasurementRecord(
-                self.end, measurement, hash_, "1.0", main_frame=frame, sub_frame=frame
+                self.end, measurement, hash_, "1.0", main_frame=frame, sub_frame=frame, **more
             )
             self.write(lambda store, row=record: store.add_measurement(row))
             self.end += MINUTE

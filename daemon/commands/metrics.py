@@ -1,0 +1,63 @@
+"""`dcam-ctl metrics`: what status knows, for Prometheus."""
+
+from __future__ import annotations
+
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import click
+
+from daemon.commands.options import (
+    Options,
+    common_options,
+    output_option,
+    pass_options,
+    utc_time,
+)
+from daemon.health import look
+from daemon.reports.metrics import metrics_text, no_metrics_text
+from daemon.store.durable import write_durable
+from daemon.verdict import judge, no_verdict
+
+
+@click.command(
+    "metrics",
+    epilog="\b\nExample:\n  dcam-ctl metrics --output /var/lib/prometheus/node-exporter/dcam.prom",
+)
+@click.option(
+    "--at",
+    "at_utc",
+    callback=utc_time,
+    metavar="TIME",
+    help="Judge as of this time, UTC; default: now.",
+)
+@output_option
+@common_options
+@pass_options
+def command(options: Options, at_utc: datetime | None, output: Path | None) -> None:
+    """Write what status knows as metrics in Prometheus' text format.
+
+    FILE is replaced whole, as node_exporter's textfile collector wants it; its name must end in
+    .prom. Where the site cannot be looked at only the level is written, and the exit code tells.
+    """
+    try:
+        facts = look(options.config, options.state, at_utc or datetime.now(UTC))
+        text = metrics_text(facts, judge(facts))
+    except Exception as error:
+        # Else the file would go on telling of the last good look.
+        _write(output, no_metrics_text(no_verdict(error)))
+        raise
+    _write(output, text)
+
+
+def _write(output: Path | None, text: bytes) -> None:
+    """Replace the file whole. Raises OSError, which names what stands in the way."""
+    if output is None:
+        sys.stdout.write(text.decode())
+        return
+    try:
+        write_durable(output, text)
+    except OSError as error:
+        error.filename = str(output.parent)
+        raise
