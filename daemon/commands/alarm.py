@@ -12,7 +12,7 @@ import click
 from daemon.alarm.memory import keep_memory, read_memory
 from daemon.alarm.receivers import NotAcceptedError, Receiver, receivers
 from daemon.alarm.rules import Memory, due, seen, text, title, told, wrong
-from daemon.commands.options import Options, common_options, pass_options, utc_time
+from daemon.commands.options import Options, at_option, common_options, pass_options
 from daemon.commands.output import note, say
 from daemon.config.alarm import AlarmSection, read_remains
 from daemon.config.reading import (
@@ -33,13 +33,7 @@ from daemon.wording import utc_text
     epilog="\b\nExample:\n  dcam-ctl alarm --test\n  dcam-ctl alarm",
 )
 @click.option("--test", is_flag=True, help="Send a message now, and tell who accepted it.")
-@click.option(
-    "--at",
-    "at_utc",
-    callback=utc_time,
-    metavar="TIME",
-    help="Judge as of this time, UTC; default: now.",
-)
+@at_option
 @common_options
 @pass_options
 def command(options: Options, test: bool, at_utc: datetime | None) -> int:

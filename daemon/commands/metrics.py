@@ -10,10 +10,10 @@ import click
 
 from daemon.commands.options import (
     Options,
+    at_option,
     common_options,
     output_option,
     pass_options,
-    utc_time,
 )
 from daemon.health import look
 from daemon.reports.metrics import metrics_text, no_metrics_text
@@ -25,13 +25,7 @@ from daemon.verdict import judge, no_verdict
     "metrics",
     epilog="\b\nExample:\n  dcam-ctl metrics --output /var/lib/prometheus/node-exporter/dcam.prom",
 )
-@click.option(
-    "--at",
-    "at_utc",
-    callback=utc_time,
-    metavar="TIME",
-    help="Judge as of this time, UTC; default: now.",
-)
+@at_option
 @output_option
 @common_options
 @pass_options

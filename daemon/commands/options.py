@@ -124,6 +124,17 @@ json_option = click.option(
 )
 
 
+def at_option(function: Function) -> Function:
+    """Add `--at TIME`; the command gets it as `at_utc`, or None for now."""
+    return click.option(
+        "--at",
+        "at_utc",
+        callback=utc_time,
+        metavar="TIME",
+        help="Judge as of this time, UTC; default: now.",
+    )(function)
+
+
 def output_option(function: Function) -> Function:
     """Add `--output FILE`; the command gets a path, or None for stdout."""
     return click.option(

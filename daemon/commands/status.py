@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 import click
 
-from daemon.commands.options import Options, common_options, json_option, pass_options, utc_time
+from daemon.commands.options import Options, at_option, common_options, json_option, pass_options
 from daemon.commands.output import gap_fields, print_json, print_table, result_fields, say
 from daemon.health import Facts, look
 from daemon.store.records import Coverage
@@ -19,13 +19,7 @@ from daemon.wording import utc_text
     "status",
     epilog="\b\nExample:\n  dcam-ctl status\n  dcam-ctl status --json | jq .level",
 )
-@click.option(
-    "--at",
-    "at_utc",
-    callback=utc_time,
-    metavar="TIME",
-    help="Judge as of this time, UTC; default: now.",
-)
+@at_option
 @json_option
 @common_options
 @pass_options
