@@ -17,13 +17,14 @@ import numpy as np
 
 from benchmarks.bound import disc_bound_mm, pose_bound_mm
 from benchmarks.scene import IDEAL, REALISTIC, Scene, noisy
-from core.compensation import affine
-from core.corners import locate_board, predict_corners, refine_board
-from core.discs import find_discs
-from core.frames import GreyImage
-from core.pose import Pose
-from core.resection import resect
-from core.site import FloatArray, IntArray, Site
+from core.arrays import FloatArray, IntArray
+from core.checkerboard.corners import locate_board, predict_corners, refine_board
+from core.checkerboard.resection import resect
+from core.discs.disc_finder import find_discs
+from core.geometry.pose import Pose
+from core.images import GreyImage
+from core.rig.compensation import affine
+from core.site import Site
 
 FRAMES = 24
 SLOW_FRAMES = 8

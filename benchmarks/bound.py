@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.scene import CLEAN, Scene, mean_dn
-from core.pose import Pose
-from core.site import FloatArray
+from core.arrays import FloatArray
+from core.geometry.pose import Pose
 
 _STEP = np.array([1e-4] * 3 + [5e-3] * 3)
 """rad and mm: a tenth of a pixel or so."""

@@ -12,10 +12,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from core.calibration import CalibrationView, ViewRole, calibrate
-from core.frames import GreyImage
+from core.arrays import FloatArray
+from core.calibration.calibrate import CalibrationView, ViewRole, calibrate
+from core.images import GreyImage
 from core.measurement import measure_pair
-from core.site import FloatArray
 from daemon.config.reading import load_config
 from drivers.png import encode_png
 from drivers.protocols import Image

@@ -18,14 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from core.board import Board
-from core.board_pose import board_pose
+from core.arrays import FloatArray
+from core.checkerboard.board import Board
+from core.checkerboard.board_pose import board_pose
+from core.discs.target import find_target
 from core.errors import TargetNotFoundError
-from core.frames import GreyImage
-from core.intrinsics import calibrate_lens
-from core.pose import Pose
-from core.site import CheckerboardTarget, FloatArray
-from core.target import find_target
+from core.geometry.pose import Pose
+from core.images import GreyImage
+from core.lens.intrinsics import calibrate_lens
+from core.site import CheckerboardTarget
 
 PLATE = Path("/usr/share/visp-images-data/ViSP-images/mire-2")
 PAIRS = Path("/usr/share/doc/opencv-doc/examples/data")

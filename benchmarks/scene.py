@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from core.board import Board
-from core.frames import GreyImage
-from core.lens import Lens
-from core.pose import Pose
-from core.rig import Rig, motion_by_pose
-from core.site import FloatArray, Site
+from core.arrays import FloatArray
+from core.checkerboard.board import Board
+from core.geometry.lens import Lens
+from core.geometry.pose import Pose
+from core.images import GreyImage
+from core.rig.rigid import Rig, motion_by_pose
+from core.site import Site
 from drivers.sim.geometry import TrueGeometry, build_geometry
 from drivers.sim.render import CameraRenderer, Look
 from drivers.sim.settings import AsBuilt, Optics, Print, Sensor, SimSettings

@@ -18,28 +18,28 @@ from typing import Literal
 
 import numpy as np
 
-from core.board import Board
-from core.calibration import CalibrationView, Method, ViewRole, calibrate
-from core.compensation import corrected_displacement
-from core.corners import LocatedBoard
-from core.discs import Discs
-from core.dual import Fit, Recipe, fit_views, setup_of
-from core.dual_lens import start_from_views
-from core.frames import GreyImage
+from core.arrays import FloatArray
+from core.calibration.calibrate import CalibrationView, Method, ViewRole, calibrate
+from core.calibration.joint_fit import Fit, Recipe, fit_views, setup_of
+from core.calibration.lens_selection import start_from_views
+from core.calibration.views import LensView, PairView, Views
+from core.checkerboard.board import Board
+from core.checkerboard.corners import LocatedBoard
+from core.checkerboard.resection import BoardView, resect
+from core.discs.disc_finder import Discs
+from core.images import GreyImage
 from core.measurement import measure_pair
-from core.resection import BoardView, resect
 from core.results import Flag
-from core.setup import Setup
+from core.rig.calibrated_site import Setup
+from core.rig.compensation import corrected_displacement
 from core.site import (
     CameraGeometry,
     CheckerboardTarget,
     CirclesTarget,
-    FloatArray,
     QualityLimits,
     RigPrior,
     Site,
 )
-from core.views import LensView, PairView, Views
 from drivers.sim.frameset_writer import head_reach_deg
 from drivers.sim.geometry import held_board_pose
 from drivers.sim.head import SimulatedHead

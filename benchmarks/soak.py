@@ -24,7 +24,7 @@ from pathlib import Path
 
 from benchmarks.memory import resident_mb
 from benchmarks.soak_history import DAY_MIN, PERIOD, START_UTC, History
-from daemon.operator.control import paused_daemon
+from daemon.control.control_socket import paused_daemon
 from daemon.store.database import Store, open_store_readonly
 from daemon.store.records import GapCause
 

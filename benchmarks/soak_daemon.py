@@ -15,10 +15,11 @@ from typing import Any
 
 from core.results import Measurement
 from core.site import QualityLimits, Site
-from daemon import main, measuring, pipeline
+from daemon import main
 from daemon.clock import machine
-from daemon.measuring import ActiveCalibration, ImagePair
-from daemon.sequence import Sequence, stored_continuity
+from daemon.slots import measuring, pipeline
+from daemon.slots.measuring import ActiveCalibration, ImagePair
+from daemon.slots.row_history import Sequence, stored_continuity
 from daemon.store.database import Store
 from drivers.protocols import Image, Role
 from drivers.sim import world
@@ -58,7 +59,7 @@ class MeasuredAnew:
     def measure(
         self, pairs: Iterable[ImagePair], site: Site, calibration: ActiveCalibration | None
     ) -> Measurement:
-        """Stand in for `daemon.measuring.measure`. Raises RuntimeError if a result changes."""
+        """Stand in for `measuring.measure`. Raises RuntimeError if a result changes."""
         (pair,) = pairs
         assert pair.main is not None
         assert pair.sub is not None
@@ -87,7 +88,7 @@ class Remembered:
         slot_utc: datetime,
         measurement: Measurement,
     ) -> Measurement:
-        """Stand in for `daemon.sequence.in_sequence`, of one calibration."""
+        """Stand in for `daemon.slots.row_history.in_sequence`, of one calibration."""
         if calibration is None or measurement.corrected is None:
             return measurement
         if self._sequence is None:

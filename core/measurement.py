@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from core.calibration import Calibration
-from core.compensation import Shift, corrected_displacement, raw_displacement, rig_motion
-from core.corners import LocatedBoard, locate_board
-from core.discs import Discs, find_discs
+from core.calibration.calibrate import Calibration
+from core.checkerboard.corners import LocatedBoard, locate_board
+from core.checkerboard.resection import BoardPose, resect
+from core.discs.disc_finder import Discs, find_discs
 from core.errors import ImageError, ImageSizeError, TargetNotFoundError
-from core.frames import GreyImage, require_size
-from core.quality import (
+from core.images import GreyImage, require_size
+from core.quality.verdicts import (
     beyond_belief,
     flag_of,
     judge_main,
@@ -20,9 +20,9 @@ from core.quality import (
     overexposed,
     too_dark,
 )
-from core.resection import BoardPose, resect
 from core.results import Diagnostics, Displacement, Measurement, Reason
-from core.setup import Setup
+from core.rig.calibrated_site import Setup
+from core.rig.compensation import Shift, corrected_displacement, raw_displacement, rig_motion
 from core.site import Site
 
 

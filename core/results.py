@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import Any
 
-from core.site import FloatArray
+from core.arrays import FloatArray
 
 
 class Flag(IntEnum):

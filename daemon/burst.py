@@ -7,7 +7,7 @@ from datetime import datetime, timedelta
 
 import structlog
 
-from daemon.store.times import slot_text
+from daemon.times import slot_text
 from drivers.errors import DeviceLostError, DriverError
 from drivers.protocols import CapturedPair, Clock, FramePairSource
 

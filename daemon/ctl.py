@@ -17,7 +17,7 @@ from typing import Any
 import click
 
 from daemon.commands.options import Options, common_options
-from daemon.errors import run
+from daemon.error_report import run
 
 COMMANDS = {
     "check": "Check config, state and clock; with --hardware cameras too.",

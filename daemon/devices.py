@@ -127,7 +127,7 @@ def found_on_network(config: Config) -> dict[Role, str]:
     """
     if config.camera.main.backend != "aravis":
         return {}
-    from drivers.aravis_device import network_addresses
+    from drivers.genicam.aravis_device import network_addresses
 
     addresses = network_addresses(DISCOVERY_TIMEOUT_S)
     serials = {role: str(config.camera.of(role).serial) for role in _ROLES}
@@ -209,10 +209,10 @@ def open_head(config: Config) -> PanTiltHead:
 
     Raises ConfigError.
     """
-    from drivers.head_home import HomedHead
-    from drivers.pelco_d import PelcoHead, TimedPelcoHead
-    from drivers.ptu_ascii import PtuHead
-    from drivers.serial_line import SerialLine
+    from drivers.heads.home import HomedHead
+    from drivers.heads.pelco_d import PelcoHead, TimedPelcoHead
+    from drivers.heads.ptu_ascii import PtuHead
+    from drivers.heads.serial_line import SerialLine
 
     section, settings = config.pan_tilt, config.pan_tilt.settings()
     if section.port is None:
@@ -251,15 +251,15 @@ def camera_settings(config: Config, role: Role) -> CameraSettings:
 
 
 def _aravis() -> OpenCamera:
-    from drivers.aravis import AravisCamera
-    from drivers.aravis_device import load_aravis
+    from drivers.genicam.aravis import AravisCamera
+    from drivers.genicam.aravis_device import load_aravis
 
     load_aravis()  # a library that is not installed is told at once, not at every slot
     return AravisCamera
 
 
 def _harvesters(config: Config) -> OpenCamera:
-    from drivers.gentl import GentlCamera, find_producer
+    from drivers.genicam.gentl import GentlCamera, find_producer
 
     producer = find_producer(config.genicam.producer)
     return lambda serial, settings, role: GentlCamera(serial, settings, producer, role)

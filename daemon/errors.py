@@ -1,22 +1,12 @@
-"""What a user is told when something fails: one line, and an exit code that a script can read.
+"""Errors of the daemon: each class owns its one-line message and its exit code.
 
 Exit codes: 0 done, 1 the work failed, 2 usage, 3 config, 4 hardware or I/O, 5 database.
 """
 
 from __future__ import annotations
 
-import os
-import sqlite3
-import sys
-import traceback
-from collections.abc import Sequence
 from enum import IntEnum
-
-import click
-
-from core.errors import CoreError
-from daemon.store.errors import StoreError
-from drivers.errors import DriverError
+from typing import ClassVar
 
 
 class ExitCode(IntEnum):
@@ -66,75 +56,57 @@ class AlreadyRunningError(HardwareError):
     """Another dcamd holds this state directory."""
 
 
-_EXIT_CODES: tuple[tuple[type[BaseException], ExitCode], ...] = (
-    (click.UsageError, ExitCode.USAGE),
-    (DriverError, ExitCode.HARDWARE),
-    (CoreError, ExitCode.FAILED),
-    (StoreError, ExitCode.DATABASE),
-    (sqlite3.Error, ExitCode.DATABASE),
-    (OSError, ExitCode.HARDWARE),
-)
-"""Errors of other layers and libraries; the first match counts."""
+TO_SALVAGE = "restart dcamd, it sets the file aside and saves what can be read"
+"""What to do about damage."""
 
 
-def exit_code_of(error: BaseException) -> ExitCode:
-    """Give the exit code that an error stands for; what nobody foresaw is 1."""
-    if isinstance(error, DcamError | StoreError):
-        return ExitCode(error.exit_code)
-    return next((code for kind, code in _EXIT_CODES if isinstance(error, kind)), ExitCode.FAILED)
+class StoreError(Exception):
+    """The database could not do what was asked; nothing of the request was written."""
+
+    exit_code: ClassVar[int] = 5
 
 
-def lines_of(error: BaseException) -> tuple[str, ...]:
-    """Give what to tell the user: one line, or one for each problem of a config."""
-    if isinstance(error, ConfigError):
-        return error.problems
-    if isinstance(error, click.UsageError):
-        text = f"{_usage_text(error)}; see --help"
-    elif isinstance(error, click.ClickException):
-        text = error.format_message()
-    elif isinstance(error, KeyboardInterrupt | click.Abort):
-        text = "interrupted"
-    elif isinstance(error, OSError) and error.strerror:
-        text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    elif _was_foreseen(error):
-        text = str(error)
-    else:
-        text = f"internal error: {type(error).__name__}: {error} (--debug shows where)"
-    return (" ".join(text.split()),)
+class DatabaseMissingError(StoreError):
+    """There is no database in the state directory."""
 
 
-def _usage_text(error: click.UsageError) -> str:
-    # From click 8.2 a group called without a command raises its whole help page.
-    if type(error).__name__ == "NoArgsIsHelpError":
-        return "no command given"
-    return error.format_message().rstrip(".")
+class DatabaseNewerError(StoreError):
+    """The database was written by a newer version of this program."""
 
 
-def _was_foreseen(error: BaseException) -> bool:
-    return isinstance(error, DcamError) or any(isinstance(error, kind) for kind, _ in _EXIT_CODES)
+class DatabaseOlderError(StoreError):
+    """The database waits for a migration, and this opener may not run it."""
 
 
-def report(error: BaseException, program: str, *, debug: bool) -> ExitCode:
-    """Tell the user on stderr what went wrong and give the exit code."""
-    if debug:
-        traceback.print_exception(error, file=sys.stderr)
-    for line in lines_of(error):
-        print(f"{program}: error: {line}", file=sys.stderr)
-    return exit_code_of(error)
+class DatabaseDamagedError(StoreError):
+    """The file is not a SQLite database, or its pages contradict each other."""
 
 
-def run(command: click.Command, program: str, arguments: Sequence[str] | None = None) -> int:
-    """Run a click command and give its exit code; the one place where errors become text.
+class DatabaseForeignError(StoreError):
+    """A sound SQLite database, but of another program."""
 
-    A command ends with another code than 0 by raising, by returning an int, or by `ctx.exit`.
-    """
-    argv = list(sys.argv[1:] if arguments is None else arguments)
-    try:
-        result = command.main(args=argv, prog_name=program, standalone_mode=False)
-    except BrokenPipeError:
-        # The reader (`| head`) went away; the interpreter must not complain of it at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return ExitCode.FAILED
-    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - the last place to say it
-        return report(error, program, debug="--debug" in argv)
-    return result if isinstance(result, int) else ExitCode.DONE
+
+class DamagedRowError(Exception):
+    """A row is not what was written: within the store only, it leaves as DatabaseDamagedError."""
+
+
+class DatabaseBusyError(StoreError):
+    """Another process held the write lock for longer than the busy time-out."""
+
+
+class DatabaseUnwritableError(StoreError):
+    """The disk is read-only or failing, or the file may not be written."""
+
+
+class DiskFullError(StoreError):
+    """There is no space left for a row or a frame."""
+
+
+class ArchiveError(StoreError):
+    """A frame could not be written to the archive, for another reason than space."""
+
+    exit_code = 4
+
+
+class SlotTakenError(StoreError):
+    """The slot already has a row or a stored pair; what was measured is never overwritten."""

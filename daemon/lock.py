@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from daemon.durable import make_directory_durable
 from daemon.errors import AlreadyRunningError, HardwareError
-from daemon.people import user_name
-from daemon.store.durable import make_directory_durable
+from daemon.user_names import user_name
 
 LOCK_NAME = "dcamd.lock"
 

@@ -14,13 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from core.calibration import Method
+from core.calibration.calibrate import Method
 from daemon.calibration.run import calibrate_frames, views_in
 from daemon.commands.demo import SITE
 from daemon.commands.reprocess import jobs_in_set
 from daemon.config.reading import load_config
-from daemon.errors import WorkFailedError, report
-from daemon.measuring import ActiveCalibration
+from daemon.error_report import report
+from daemon.errors import WorkFailedError
+from daemon.slots.measuring import ActiveCalibration
 from daemon.version import VERSION
 from drivers.frameset import read_frame_set
 from drivers.sim.frameset_writer import TRUTH_TABLE, FrameSetPlan, write_frame_set

@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from typing import Literal, cast, get_args
 
-from core.frames import GreyImage
+from core.images import GreyImage
 from drivers.errors import FrameSetError, ImageMissingError
 from drivers.png import decode_png, encode_png
 

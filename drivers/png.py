@@ -10,7 +10,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from core.frames import GreyImage
+from core.images import GreyImage
 from drivers.protocols import Image
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"

@@ -8,7 +8,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from daemon.alarm.rules import Memory
-from daemon.store.durable import write_durable
+from daemon.durable import write_durable
 
 FILE_NAME = "alarm.json"
 

@@ -9,8 +9,8 @@ from enum import Enum
 from pydantic import AwareDatetime, BaseModel, ConfigDict
 
 from daemon.config.alarm import AlarmSection
-from daemon.verdict import Item, Level, worst
-from daemon.wording import span_text, utc_text
+from daemon.status.verdict import Item, Level, worst
+from daemon.text import span_text, utc_text
 
 
 class News(Enum):

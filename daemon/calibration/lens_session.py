@@ -8,16 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from core.board import Board
-from core.intrinsics import nominal_lens
-from core.lens_coverage import ENOUGH_VIEWS, LensCoverage, lens_coverage
-from core.pose import Pose
-from core.resection import resect
-from core.site import FloatArray, Site
+from core.arrays import FloatArray
+from core.checkerboard.board import Board
+from core.checkerboard.resection import resect
+from core.geometry.pose import Pose
+from core.lens.intrinsics import nominal_lens
+from core.lens.lens_coverage import ENOUGH_VIEWS, LensCoverage, lens_coverage
+from core.site import Site
 from daemon.calibration.session import FOLDER, new_directory, write_frame
-from daemon.calibration.sight import Sight, common_motion_px, settled_sight
+from daemon.calibration.view_check import Sight, common_motion_px, settled_sight
 from daemon.errors import HardwareError
-from daemon.exposure import ExposureLoop
+from daemon.slots.exposure import ExposureLoop
 from drivers.frameset import FrameSet, FrameSetRow, read_frame_set, write_table
 from drivers.protocols import Clock, FramePairSource
 

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from core.board import Board
+from core.arrays import FloatArray
+from core.checkerboard.board import Board
 from core.errors import ImageError
-from core.frames import GreyImage, require_size
-from core.intrinsics import LensCalibration, calibrate_lens
-from core.lens import Lens
-from core.lens_coverage import lens_coverage
-from core.site import CameraGeometry, FloatArray, Site
+from core.geometry.lens import Lens
+from core.images import GreyImage, require_size
+from core.lens.intrinsics import LensCalibration, calibrate_lens
+from core.lens.lens_coverage import lens_coverage
+from core.site import CameraGeometry, Site
 from drivers.errors import FrameSetError
 from drivers.frameset import FrameSet, FrameSetRow, format_slot
 

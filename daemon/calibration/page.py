@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 
-from core.calibration import CalibrationReport
-from daemon.store.durable import write_durable
+from core.calibration.calibrate import CalibrationReport
+from daemon.durable import write_durable
+from daemon.text import utc_text
 from daemon.version import VERSION
-from daemon.wording import utc_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

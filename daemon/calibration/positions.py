@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.discs import Discs
+from core.arrays import FloatArray
+from core.discs.disc_finder import Discs
 from core.errors import CalibrationError
-from core.site import FloatArray, Site
+from core.site import Site
 
 PAN_POSITIONS, TILT_POSITIONS = 7, 3
 """21 positions, as in the paper."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
-from core.calibration import (
+from core.calibration.calibrate import (
     Calibration,
     CalibrationReport,
     CalibrationView,
@@ -16,7 +16,7 @@ from core.calibration import (
     calibrate,
 )
 from core.errors import CalibrationError, ImageError
-from core.frames import GreyImage, require_size
+from core.images import GreyImage, require_size
 from core.site import CameraGeometry, Site
 from daemon.config.reading import Config
 from daemon.store.database import Store

@@ -19,10 +19,10 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from core.errors import CalibrationError
 from core.site import Site
 from daemon.calibration.positions import ZERO, Limits, Position, planned_positions
-from daemon.calibration.sight import Sight, settled_sight
-from daemon.calibration.zero import take_zero
-from daemon.exposure import ExposureLoop, settle
-from daemon.store.durable import make_directory_durable, write_durable
+from daemon.calibration.reference import take_zero
+from daemon.calibration.view_check import Sight, settled_sight
+from daemon.durable import make_directory_durable, write_durable
+from daemon.slots.exposure import ExposureLoop, settle
 from drivers.errors import DriverError
 from drivers.frameset import (
     FrameRole,

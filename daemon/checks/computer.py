@@ -10,8 +10,8 @@ from typing import Any
 
 from daemon.checks import host
 from daemon.checks.finding import Finding, unless
-from daemon.clock.synchronised import clock_is_synchronised
-from daemon.people import user_name
+from daemon.clock.time_sync import clock_is_synchronised
+from daemon.user_names import user_name
 
 MARGIN_C = 10.0
 """Nearer to the temperature at which a computer slows down or stops is too near for a summer."""

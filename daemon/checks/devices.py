@@ -11,6 +11,7 @@ from daemon.checks.finding import Finding, failed
 from daemon.checks.network import check_network
 from daemon.checks.usb import check_usb
 from daemon.config.reading import Config, Installation
+from daemon.control.control_socket import ask_daemon
 from daemon.devices import (
     found_on_network,
     open_clock,
@@ -20,8 +21,7 @@ from daemon.devices import (
 )
 from daemon.errors import ConfigError, DcamError
 from daemon.lock import sole_writer
-from daemon.operator.control import ask_daemon
-from daemon.operator.look import frame_text, pair_fields
+from daemon.slots.snapshot import frame_text, pair_fields
 from drivers.errors import DriverError
 
 

@@ -12,11 +12,11 @@ from time import monotonic
 from daemon.checks.finding import Finding, failed, unless
 from daemon.checks.usb import frame_bytes
 from daemon.config.reading import Config
+from daemon.durable import write_durable
+from daemon.errors import StoreError
 from daemon.store.database import open_store_readonly
-from daemon.store.durable import write_durable
-from daemon.store.errors import StoreError
 from daemon.store.records import Thinning
-from daemon.wording import bytes_text
+from daemon.text import bytes_text
 
 DAY_S = 86_400
 YEAR_DAYS = 365.0

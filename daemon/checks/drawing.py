@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from core.compensation import affine_error_px
+from core.rig.compensation import affine_error_px
 from core.site import RigPrior, Site
 from daemon.checks.finding import Finding
 

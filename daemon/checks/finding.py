@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from daemon.errors import ExitCode, exit_code_of, lines_of
+from daemon.error_report import exit_code_of, lines_of
+from daemon.errors import ExitCode
 
 
 @dataclass(frozen=True, slots=True)

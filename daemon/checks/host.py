@@ -7,7 +7,7 @@ import pwd
 from dataclasses import dataclass
 from pathlib import Path
 
-from daemon.people import user_name
+from daemon.user_names import user_name
 
 ROOT = Path("/")
 """Where those files are; tests make up a computer elsewhere."""

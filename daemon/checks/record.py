@@ -8,9 +8,8 @@ from typing import Literal
 
 from daemon.checks.finding import Finding, failed
 from daemon.config.reading import Installation
-from daemon.errors import ExitCode
+from daemon.errors import DatabaseMissingError, ExitCode, StoreError
 from daemon.store.database import open_store_readonly
-from daemon.store.errors import DatabaseMissingError, StoreError
 
 
 def check_state(site: Installation) -> Finding:

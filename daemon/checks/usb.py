@@ -14,8 +14,8 @@ from daemon.checks import host
 from daemon.checks.finding import Finding, unless
 from daemon.config.reading import Config
 from daemon.errors import ExitCode
-from daemon.people import group_name
-from drivers.genicam_device import N_BUFFERS
+from daemon.user_names import group_name
+from drivers.genicam.device import N_BUFFERS
 from drivers.protocols import Role
 
 USB3_MBIT_S = 5000

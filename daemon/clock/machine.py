@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from uuid import UUID
 
-from daemon.clock.synchronised import Synchronisation
+from daemon.clock.time_sync import Synchronisation
 from drivers.protocols import Clock
 
 BOOT_ID_FILE = Path("/proc/sys/kernel/random/boot_id")

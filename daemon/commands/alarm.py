@@ -22,10 +22,11 @@ from daemon.config.reading import (
     find_installation,
     find_state,
 )
-from daemon.errors import ConfigError, ExitCode, lines_of
-from daemon.health import look
-from daemon.verdict import Item, judge, no_verdict
-from daemon.wording import utc_text
+from daemon.error_report import lines_of
+from daemon.errors import ConfigError, ExitCode
+from daemon.status.facts import look
+from daemon.status.verdict import Item, judge, no_verdict
+from daemon.text import utc_text
 
 
 @click.command(

@@ -11,7 +11,7 @@ from daemon.commands.options import Options, common_options, json_option, pass_o
 from daemon.commands.output import print_json, progress, say
 from daemon.store.copying import require_replaceable
 from daemon.store.database import open_store_readonly
-from daemon.wording import bytes_text, utc_text
+from daemon.text import bytes_text, utc_text
 
 _LOWEST_PRIORITY = 19
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import click
 
-from core.calibration import Method
-from core.lens_coverage import LensCoverage
+from core.calibration.calibrate import Method
+from core.lens.lens_coverage import LensCoverage
 from daemon.calibration.guard import guarded_head
 from daemon.calibration.lens_session import Bench, latest_lens_views, take_lens_views
 from daemon.calibration.lens_verdict import judge_lens
@@ -31,12 +31,12 @@ from daemon.calibration.session import (
 from daemon.commands.options import Options, common_options, json_option, pass_options
 from daemon.commands.output import note, print_json, progress, say
 from daemon.config.reading import Config
+from daemon.control.control_socket import cameras_to_oneself
 from daemon.devices import open_bench, open_calibration_rig, open_clock
 from daemon.errors import ExitCode, UsageError, WorkFailedError
-from daemon.exposure import loop_of
-from daemon.health import has_stepped_clock
 from daemon.lock import require_owner
-from daemon.operator.control import cameras_to_oneself
+from daemon.slots.exposure import loop_of
+from daemon.status.facts import has_stepped_clock
 from daemon.store.database import Store, open_store
 from drivers.frameset import FrameSet, FrameSetRow, read_frame_set
 

@@ -9,20 +9,19 @@ from typing import Any
 
 import click
 
-from core.exposure import Exposure
+from core.exposure.exposure_rule import Exposure
 from core.results import Flag
 from daemon.burst import take_burst
 from daemon.commands.options import Options, common_options, json_option, pass_options
 from daemon.commands.output import print_json, say
+from daemon.control.control_socket import ask_daemon
 from daemon.devices import open_clock, open_pair_source
-from daemon.errors import ExitCode
-from daemon.exposure import last_known, loop_of, settle
+from daemon.errors import DatabaseMissingError, ExitCode
 from daemon.lock import sole_writer
-from daemon.measuring import ActiveCalibration, active_calibration
-from daemon.operator.control import ask_daemon
-from daemon.operator.look import frame_text, look_fields, measure_look
+from daemon.slots.exposure import last_known, loop_of, settle
+from daemon.slots.measuring import ActiveCalibration, active_calibration
+from daemon.slots.snapshot import frame_text, look_fields, measure_look
 from daemon.store.database import open_store_readonly
-from daemon.store.errors import DatabaseMissingError
 from drivers.protocols import Role
 
 

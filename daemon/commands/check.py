@@ -17,7 +17,7 @@ from daemon.commands.options import Options, common_options, json_option, pass_o
 from daemon.commands.output import print_json, print_table
 from daemon.config.reading import Installation
 from daemon.errors import ExitCode
-from daemon.health import has_stepped_clock
+from daemon.status.facts import has_stepped_clock
 
 
 @click.command("check", epilog="\b\nExample:\n  dcam-ctl --config dcam.toml check --hardware")

@@ -16,9 +16,9 @@ from pathlib import Path
 import click
 import numpy as np
 
-from core.calibration import Method
+from core.arrays import FloatArray
+from core.calibration.calibrate import Method
 from core.results import Flag
-from core.site import FloatArray
 from daemon.commands.calibrate import calibrate_with_head, judge_and_store
 from daemon.commands.gaps import print_gaps
 from daemon.commands.options import common_options
@@ -27,13 +27,13 @@ from daemon.commands.status import print_status
 from daemon.config.reading import Installation, find_installation
 from daemon.devices import open_clock, open_simulated_rig
 from daemon.errors import UsageError, WorkFailedError
-from daemon.health import look
 from daemon.reports.figure import draw, require_matplotlib, series_of
 from daemon.reports.history import gap_spans
+from daemon.status.facts import look
+from daemon.status.verdict import judge
 from daemon.store.database import Store, open_store, open_store_readonly
 from daemon.store.records import GapRecord, MeasurementRecord
-from daemon.verdict import judge
-from daemon.wording import coverage_text, span_text
+from daemon.text import coverage_text, span_text
 from drivers.errors import MissingLibraryError
 
 SLOTS = 72

@@ -6,11 +6,17 @@ from datetime import datetime
 
 import click
 
-from daemon.commands.options import Options, common_options, json_option, pass_options, span_options
+from daemon.commands.options import (
+    Options,
+    common_options,
+    json_option,
+    pass_options,
+    span_options,
+)
 from daemon.commands.output import gap_fields, print_json, print_table, say
 from daemon.store.database import ALWAYS, NEVER, open_store_readonly
 from daemon.store.records import GapRecord
-from daemon.wording import utc_text
+from daemon.text import utc_text
 
 
 @click.command("gaps", epilog="\b\nExample:\n  dcam-ctl gaps --since 30d")

@@ -8,17 +8,11 @@ from pathlib import Path
 
 import click
 
-from daemon.commands.options import (
-    Options,
-    at_option,
-    common_options,
-    output_option,
-    pass_options,
-)
-from daemon.health import look
+from daemon.commands.options import Options, at_option, common_options, output_option, pass_options
+from daemon.durable import write_durable
 from daemon.reports.metrics import metrics_text, no_metrics_text
-from daemon.store.durable import write_durable
-from daemon.verdict import judge, no_verdict
+from daemon.status.facts import look
+from daemon.status.verdict import judge, no_verdict
 
 
 @click.command(

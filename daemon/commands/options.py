@@ -15,7 +15,7 @@ import click
 
 from daemon.config.reading import Config, Installation, find_installation
 from daemon.errors import HardwareError
-from daemon.people import group_name
+from daemon.user_names import group_name
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

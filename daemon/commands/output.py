@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from core.results import Measurement
 from daemon.store.convert import BURST_COLUMNS, RESULT_COLUMNS, measurement_columns
 from daemon.store.records import GapRecord, MeasurementRecord
-from daemon.wording import utc_text
+from daemon.text import utc_text
 
 if TYPE_CHECKING:
     from rich.progress import Progress

@@ -8,10 +8,12 @@ from typing import Any
 import click
 import numpy as np
 
-from core.drawing import Campaign, Drawing, ImageQuality
+from core.calibration.observability import further_motion
 from core.errors import CoreError
-from core.observability import further_motion
-from core.planning import (
+from core.geometry.pose import Pose
+from core.planning.drawing import Campaign, Drawing, ImageQuality
+from core.planning.field_of_view import Room, room_of, warnings_of
+from core.planning.predicted_accuracy import (
     Foreseen,
     Improvement,
     Limit,
@@ -23,8 +25,6 @@ from core.planning import (
     possible_changes,
     require_in_view,
 )
-from core.pose import Pose
-from core.room import Room, room_of, warnings_of
 from core.site import Site
 from daemon.calibration.positions import Limits, planned_positions
 from daemon.commands.options import Options, common_options, json_option, pass_options

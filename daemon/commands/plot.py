@@ -12,7 +12,7 @@ from daemon.commands.output import note
 from daemon.errors import UsageError
 from daemon.reports.table import replacing
 from daemon.store.database import open_store_readonly
-from daemon.wording import coverage_text
+from daemon.text import coverage_text
 
 SUFFIXES = (".png", ".svg")
 

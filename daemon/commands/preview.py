@@ -8,8 +8,8 @@ import click
 
 from daemon.commands.options import Options, common_options, pass_options
 from daemon.commands.output import note, say
+from daemon.control.control_socket import cameras_to_oneself
 from daemon.devices import open_clock, open_pair_source
-from daemon.operator.control import cameras_to_oneself
 from drivers.errors import DeviceError
 from drivers.protocols import Role
 
@@ -40,9 +40,9 @@ def command(options: Options, port: int, interval_s: float, looks: int | None) -
     meanwhile, its slots are a gap `calibration`, and goes on by itself. With `[exposure] mode =
     "auto"` exposure follows the light from look to look.
     """
-    from daemon.exposure import loop_of
-    from daemon.preview.look import Look, look_at
     from daemon.preview.server import Shown, serving
+    from daemon.preview.snapshot import Look, look_at
+    from daemon.slots.exposure import loop_of
 
     config = options.config
     clock, site = open_clock(config), config.site()

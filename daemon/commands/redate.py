@@ -10,15 +10,15 @@ from itertools import groupby
 import click
 
 from daemon.clock.machine import read_boot_id, uptime_s
-from daemon.clock.redating import Books, Redated, TrueTime, account_for_moved, redate
 from daemon.commands.options import Options, common_options, json_option, pass_options, utc_time
 from daemon.commands.output import print_json, print_table, say
 from daemon.errors import ExitCode, UsageError
 from daemon.schedule import Schedule
+from daemon.slots.time_correction import Books, Redated, TrueTime, account_for_moved, redate
 from daemon.store.database import Store, open_store, open_store_readonly
 from daemon.store.records import MeasurementRecord
-from daemon.store.times import slot_text
-from daemon.wording import utc_text
+from daemon.text import utc_text
+from daemon.times import slot_text
 
 Undated = Sequence[tuple[int, MeasurementRecord]]
 

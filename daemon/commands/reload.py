@@ -6,8 +6,8 @@ import click
 
 from daemon.commands.options import Options, common_options, pass_options
 from daemon.commands.output import note
+from daemon.control.control_socket import ask_daemon
 from daemon.errors import HardwareError
-from daemon.operator.control import ask_daemon
 
 
 @click.command("reload", epilog="\b\nExample:\n  dcam-ctl check && dcam-ctl reload")

@@ -11,7 +11,7 @@ from daemon.commands.options import Options, common_options, pass_options, span_
 from daemon.commands.output import note
 from daemon.reports.table import replacing
 from daemon.store.database import open_store_readonly
-from daemon.wording import coverage_text
+from daemon.text import coverage_text
 
 
 @click.command("report", epilog="\b\nExample:\n  dcam-ctl report --since 30d --output march.html")

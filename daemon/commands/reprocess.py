@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from core.calibration import Calibration
+from core.calibration.calibrate import Calibration
 from core.errors import CalibrationError
 from core.results import Flag, Measurement
 from core.site import Site
@@ -24,13 +24,12 @@ from daemon.commands.options import (
 )
 from daemon.commands.output import note, print_json, progress, result_fields
 from daemon.config.reading import Config
-from daemon.errors import UsageError, WorkFailedError
-from daemon.measuring import ActiveCalibration, PairFiles, load_pairs, measure, read_pair
+from daemon.errors import DatabaseMissingError, UsageError, WorkFailedError
 from daemon.reports.table import opened_output, write_results
-from daemon.sequence import Sequence
+from daemon.slots.measuring import ActiveCalibration, PairFiles, load_pairs, measure, read_pair
+from daemon.slots.row_history import Sequence
 from daemon.store.database import NEVER, open_store_readonly
-from daemon.store.errors import DatabaseMissingError
-from daemon.store.frames import FrameArchive
+from daemon.store.frames.archive import FrameArchive
 from daemon.store.records import EPOCH, CalibrationRecord
 from drivers.frameset import FrameSet, FrameSetRow, read_frame_set
 

@@ -9,10 +9,10 @@ import click
 
 from daemon.commands.options import Options, at_option, common_options, json_option, pass_options
 from daemon.commands.output import gap_fields, print_json, print_table, result_fields, say
-from daemon.health import Facts, look
+from daemon.status.facts import Facts, look
+from daemon.status.verdict import Item, Level, judge, no_verdict, worst
 from daemon.store.records import Coverage
-from daemon.verdict import Item, Level, judge, no_verdict, worst
-from daemon.wording import utc_text
+from daemon.text import utc_text
 
 
 @click.command(

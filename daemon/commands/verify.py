@@ -9,15 +9,15 @@ from datetime import datetime
 
 import click
 
-from daemon.archive_check import ArchiveCheck, Removed
 from daemon.commands.options import Options, common_options, json_option, pass_options, utc_time
 from daemon.commands.output import Steps, note, print_json, progress, say
-from daemon.errors import DcamError, ExitCode, lines_of
+from daemon.error_report import lines_of
+from daemon.errors import DatabaseDamagedError, DcamError, ExitCode
+from daemon.status.archive_check import ArchiveCheck, Removed
 from daemon.store.accounting import Era, read_eras
-from daemon.store.damage_note import databases_set_aside, note_damage
 from daemon.store.database import Store, open_store_readonly
-from daemon.store.errors import DatabaseDamagedError
 from daemon.store.records import Mark
+from daemon.store.salvage.damage_note import databases_set_aside, note_damage
 from daemon.store.verification import (
     SALVAGE,
     Counted,

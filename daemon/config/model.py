@@ -26,7 +26,7 @@ from daemon.config.site import (
     SiteSection,
     TargetsSection,
 )
-from daemon.disk.rules import Rules
+from daemon.retention.rules import Rules
 from drivers.protocols import HeadSettings, LineOut, Role, TriggerIn
 from drivers.sim.settings import (
     AsBuilt,

@@ -11,12 +11,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from daemon.config.model import (
-    BURST_SHARE,
-    DEFAULT_STATE_DIRECTORY,
-    Config,
-    SimulationSection,
-)
+from daemon.config.model import BURST_SHARE, DEFAULT_STATE_DIRECTORY, Config, SimulationSection
 from daemon.config.plausibility import implausible_values
 from daemon.config.problems import describe_problems
 from daemon.errors import ConfigError

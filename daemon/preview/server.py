@@ -12,7 +12,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from daemon.errors import HardwareError
-from daemon.preview.look import Look
+from daemon.preview.snapshot import Look
 
 LOOPBACK = "127.0.0.1"
 _PAGE = Path(__file__).with_name("page.html")

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
+from core.arrays import FloatArray
 from core.results import Flag, Measurement
-from core.site import FloatArray
 from drivers.errors import MissingLibraryError
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from daemon.errors import WorkFailedError
 from daemon.reports.figure import GapSpan, Series, series_of
 from daemon.store.database import Store
 from daemon.store.records import Coverage, GapRecord
-from daemon.wording import utc_text
+from daemon.text import utc_text
 
 MOST_POINTS = 20_000
 """More than this a figure cannot show and a reader cannot tell apart."""

@@ -15,9 +15,9 @@ from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.registry import Collector
 
 from core.results import Displacement
-from daemon.health import Daemon, Disk, Facts
+from daemon.status.facts import Daemon, Disk, Facts
+from daemon.status.verdict import Item, Level, worst
 from daemon.store.records import Coverage, GapCause, MeasurementRecord
-from daemon.verdict import Item, Level, worst
 from daemon.version import VERSION
 
 AXES = ("x", "y", "z")

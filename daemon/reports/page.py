@@ -15,17 +15,17 @@ from pathlib import Path
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 
+from core.arrays import FloatArray
 from core.results import Flag
-from core.site import FloatArray
 from daemon.config.reading import Installation
-from daemon.health import look
 from daemon.reports.figure import draw
 from daemon.reports.history import History, gap_spans
+from daemon.status.facts import look
+from daemon.status.verdict import judge, worst
 from daemon.store.database import Store
 from daemon.store.records import MeasurementRecord
-from daemon.verdict import judge, worst
+from daemon.text import coverage_text, span_text, utc_text
 from daemon.version import VERSION
-from daemon.wording import coverage_text, span_text, utc_text
 
 _TEMPLATE = Path(__file__).with_name("page.html.j2")
 MOST_LINES = 200

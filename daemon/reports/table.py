@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import TextIO
 
 from core.results import Measurement
+from daemon.durable import fsync_directory, fsync_file, temporary_name
 from daemon.store.checksum import DIGEST
 from daemon.store.convert import BURST_COLUMNS, RESULT_COLUMNS, measurement_columns
-from daemon.store.durable import fsync_directory, fsync_file, temporary_name
 from daemon.store.records import MeasurementRecord
 from daemon.store.schema import MeasurementRow
-from daemon.store.times import instant_text, slot_text
+from daemon.times import instant_text, slot_text
 
 EXTRA_COLUMNS = tuple(
     column.name

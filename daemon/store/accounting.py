@@ -9,9 +9,9 @@ from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime
 
-from daemon.store.errors import DamagedRowError
+from daemon.errors import DamagedRowError
 from daemon.store.runs import run_between, slot_at, unix_s, without
-from daemon.store.times import slot_text
+from daemon.times import slot_text
 
 _STEP = 50_000
 """Slots looked at in one transaction: a month of minutes, a tenth of a second."""

@@ -12,7 +12,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 
-from daemon.store.errors import DamagedRowError
+from daemon.errors import DamagedRowError
 
 DIGEST = "digest"
 """The column of every table that holds its row's checksum."""

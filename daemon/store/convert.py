@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from core.arrays import FloatArray
 from core.results import (
     CalibrationReport,
     Diagnostics,
@@ -18,7 +19,6 @@ from core.results import (
     Reason,
     RigMotion,
 )
-from core.site import FloatArray
 from daemon.store.records import CalibrationRecord, CameraState, MeasurementRecord
 
 if TYPE_CHECKING:  # SQLAlchemy is loaded by who needs its rows

@@ -10,13 +10,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from daemon.store.durable import fsync_directory, fsync_file, temporary_name
-from daemon.store.errors import (
-    TO_SALVAGE,
-    DatabaseDamagedError,
-    DatabaseUnwritableError,
-    StoreError,
-)
+from daemon.durable import fsync_directory, fsync_file, temporary_name
+from daemon.errors import TO_SALVAGE, DatabaseDamagedError, DatabaseUnwritableError, StoreError
 from daemon.store.sqlite import connect_readonly, is_damage, translate
 
 PAGES_A_STEP = 1024

@@ -18,6 +18,15 @@ from typing import Self, cast
 from sqlalchemy import Engine, func, or_, select
 from sqlalchemy.orm import Session
 
+from daemon.durable import fsync_directory, make_directory_durable
+from daemon.errors import (
+    TO_SALVAGE,
+    DatabaseDamagedError,
+    DatabaseMissingError,
+    DatabaseUnwritableError,
+    SlotTakenError,
+    StoreError,
+)
 from daemon.store import frame_days, undated
 from daemon.store import gaps as gap_runs
 from daemon.store.accounting import fates
@@ -28,18 +37,8 @@ from daemon.store.convert import (
     measurement_row,
 )
 from daemon.store.copying import Copied, Tell, backup
-from daemon.store.damage import Depth, find_damage
 from daemon.store.digest import CheckedSession
-from daemon.store.durable import fsync_directory, make_directory_durable
 from daemon.store.engine import make_engine, translated
-from daemon.store.errors import (
-    TO_SALVAGE,
-    DatabaseDamagedError,
-    DatabaseMissingError,
-    DatabaseUnwritableError,
-    SlotTakenError,
-    StoreError,
-)
 from daemon.store.migrate import migrate as run_migrations
 from daemon.store.migrate import require_head
 from daemon.store.overview import FILE_NAME, Overview, missing
@@ -54,13 +53,8 @@ from daemon.store.records import (
     MeasurementRecord,
 )
 from daemon.store.runs import next_second, run_between, schedule_slots
-from daemon.store.schema import (
-    ActivationRow,
-    CalibrationRow,
-    EventRow,
-    MarkRow,
-    MeasurementRow,
-)
+from daemon.store.salvage.damage import Depth, find_damage
+from daemon.store.schema import ActivationRow, CalibrationRow, EventRow, MarkRow, MeasurementRow
 from daemon.store.sqlite import (
     connect,
     connect_readonly,
@@ -68,7 +62,7 @@ from daemon.store.sqlite import (
     said_plainly,
     undo_half_made,
 )
-from daemon.store.times import slot_text
+from daemon.times import slot_text
 
 ALWAYS = datetime(1, 1, 1, tzinfo=UTC)
 NEVER = datetime(9999, 12, 31, tzinfo=UTC)

@@ -10,7 +10,7 @@ from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError, StatementError
 from sqlalchemy.pool import QueuePool
 
-from daemon.store.errors import StoreError
+from daemon.errors import StoreError
 from daemon.store.sqlite import connect, connect_readonly, said_plainly, translate
 
 

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import structlog
 
-from daemon.store.damage import Depth, ended_in_order, find_damage
-from daemon.store.damage_note import Note, clear_note, note_damage, read_note
+from daemon.errors import DatabaseUnwritableError
 from daemon.store.database import Store, open_store
-from daemon.store.errors import DatabaseUnwritableError
-from daemon.store.frames import FOLDER
+from daemon.store.frames.archive import FOLDER
 from daemon.store.overview import FILE_NAME
-from daemon.store.salvage import Tell, salvage
+from daemon.store.salvage.damage import Depth, ended_in_order, find_damage
+from daemon.store.salvage.damage_note import Note, clear_note, note_damage, read_note
+from daemon.store.salvage.salvage import Tell, salvage
 from daemon.store.sqlite import undo_half_made
 
 _log = structlog.get_logger("dcam.daemon")

@@ -16,14 +16,14 @@ from types import SimpleNamespace
 from typing import Any
 
 from core.results import Flag
+from daemon.errors import DamagedRowError, DatabaseMissingError
 from daemon.store.checksum import DIGEST, require_intact
 from daemon.store.convert import measurement_record
-from daemon.store.errors import DamagedRowError, DatabaseMissingError
 from daemon.store.records import Coverage, GapCause, GapRecord, Mark, MeasurementRecord
 from daemon.store.revisions import require_head
 from daemon.store.runs import next_second, overlap, run_between, slot_at
 from daemon.store.sqlite import connect_readonly, database_exists, said_plainly
-from daemon.store.times import instant_text, slot_text
+from daemon.times import instant_text, slot_text
 
 FILE_NAME = "dcam.db"
 

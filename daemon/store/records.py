@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from core.results import CalibrationReport, Measurement, Reason
 
 if TYPE_CHECKING:
-    from core.calibration import Calibration
+    from core.calibration.calibrate import Calibration
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -139,7 +139,7 @@ class CalibrationRecord:
     @property
     def calibration(self) -> Calibration:
         """The calibration that `core.measurement` takes."""
-        from core.calibration import Calibration  # loads all of the numerics
+        from core.calibration.calibrate import Calibration  # loads all of the numerics
 
         return Calibration.from_dict(dict(self.content))
 

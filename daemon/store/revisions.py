@@ -9,7 +9,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from daemon.store.errors import DatabaseForeignError, DatabaseNewerError, DatabaseOlderError
+from daemon.errors import DatabaseForeignError, DatabaseNewerError, DatabaseOlderError
 
 REVISIONS = ("0001", "0002", "0003", "0004", "0005", "0006")
 """In the order in which they are applied; the last is this version's."""

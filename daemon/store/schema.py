@@ -24,9 +24,9 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-from daemon.store.errors import DamagedRowError
+from daemon.errors import DamagedRowError
 from daemon.store.records import GapCause
-from daemon.store.times import instant_text, slot_text
+from daemon.times import instant_text, slot_text
 
 
 class Slot(TypeDecorator[datetime]):

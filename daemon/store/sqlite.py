@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
-from daemon.store.damage_note import read_note
-from daemon.store.errors import (
+from daemon.errors import (
     TO_SALVAGE,
     DamagedRowError,
     DatabaseBusyError,
@@ -18,6 +17,7 @@ from daemon.store.errors import (
     DiskFullError,
     StoreError,
 )
+from daemon.store.salvage.damage_note import read_note
 
 BUSY_TIMEOUT_S = 10.0
 """A second writer (a command beside the daemon) holds the lock for milliseconds."""

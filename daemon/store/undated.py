@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from daemon.store.convert import measurement_columns, measurement_record
 from daemon.store.records import MeasurementRecord
 from daemon.store.schema import MeasurementRow, UndatedRow
-from daemon.store.times import instant_text
+from daemon.times import instant_text
 
 _TIMES = ("slot_utc", "captured_utc", "redated_from_utc")
 

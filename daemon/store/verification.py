@@ -14,16 +14,16 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from core.calibration import Calibration
+from core.calibration.calibrate import Calibration
 from core.errors import CoreError
+from daemon.errors import DamagedRowError
 from daemon.store.accounting import Era, fates, scheduled
-from daemon.store.damage import any_text, program_tables, wrong_rows
-from daemon.store.errors import DamagedRowError
 from daemon.store.overview import Overview
 from daemon.store.runs import slot_at
-from daemon.store.salvage import LOST
+from daemon.store.salvage.damage import any_text, program_tables, wrong_rows
+from daemon.store.salvage.salvage import LOST
 from daemon.store.sqlite import connect_readonly, is_damage, said_plainly
-from daemon.store.times import slot_text
+from daemon.times import slot_text
 
 SALVAGE = "restart dcamd: it sets the file aside and saves all else"
 REPORT = "nothing mends this by itself: please report it, with the log of that time"

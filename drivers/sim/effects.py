@@ -7,7 +7,7 @@ import math
 import cv2
 import numpy as np
 
-from core.site import FloatArray
+from core.arrays import FloatArray
 from drivers.sim.kernels import Float32Array
 
 SHIFT = 4

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from core.pose import Pose
-from core.site import CameraGeometry, CheckerboardTarget, CirclesTarget, FloatArray, Site
+from core.arrays import FloatArray
+from core.geometry.pose import Pose
+from core.site import CameraGeometry, CheckerboardTarget, CirclesTarget, Site
 from drivers.sim.settings import AsBuilt, Print, SimSettings
 
 FLIP_Y_Z = np.diag([1.0, -1.0, -1.0])

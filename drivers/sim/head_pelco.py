@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drivers.pelco_d import (
+from drivers.heads.pelco_d import (
     ASK_PAN,
     ASK_TILT,
     DOWN,

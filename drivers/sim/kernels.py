@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.loops import kept_on_disk
-from core.site import FloatArray, IntArray
+from core.arrays import FloatArray, IntArray
+from core.compiled import kept_on_disk
 
 Float32Array = NDArray[np.float32]
 

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from core.pose import Pose
-from core.site import FloatArray
+from core.arrays import FloatArray
+from core.geometry.pose import Pose
 from drivers.sim.settings import ScenarioKind, SimSettings
 
 WAVES = 4

@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 from scipy.special import ive
 
-from core.pose import Pose
-from core.site import CameraGeometry, FloatArray, IntArray
+from core.arrays import FloatArray, IntArray
+from core.geometry.pose import Pose
+from core.site import CameraGeometry
 from drivers.protocols import Image
 from drivers.sim import kernels
 from drivers.sim.geometry import TrueBoard, TrueLens

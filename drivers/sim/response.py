@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from core.site import FloatArray
+from core.arrays import FloatArray
 from drivers.sim.kernels import PER_PX, SLOPES, Response
 
 _SIGMAS = 4.0

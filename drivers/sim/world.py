@@ -9,17 +9,11 @@ from datetime import datetime
 
 import numpy as np
 
-from core.pose import Pose
-from core.site import FloatArray, Site
+from core.arrays import FloatArray
+from core.geometry.pose import Pose
+from core.site import Site
 from drivers.protocols import Image, Role
-from drivers.sim.effects import (
-    draw_cobweb,
-    draw_cover,
-    draw_glare,
-    draw_insect,
-    draw_snow,
-    haze_mm,
-)
+from drivers.sim.effects import draw_cobweb, draw_cover, draw_glare, draw_insect, draw_snow, haze_mm
 from drivers.sim.geometry import TrueGeometry, build_geometry, held_board_pose
 from drivers.sim.motion import TrueMotion
 from drivers.sim.render import ORDINARY, CameraRenderer, Exposed, Look

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from core.board import Board
-from core.frames import GreyImage
-from core.lens import Lens
-from core.pose import Pose
-from core.site import CheckerboardTarget, FloatArray, IntArray
+from core.arrays import FloatArray, IntArray
+from core.checkerboard.board import Board
+from core.geometry.lens import Lens
+from core.geometry.pose import Pose
+from core.images import GreyImage
+from core.site import CheckerboardTarget
 from drivers.sim.effects import draw_insect
 from drivers.sim.geometry import TrueBoard, TrueLens
 from drivers.sim.render import CameraRenderer, Look

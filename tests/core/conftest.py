@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from core.calibration import Method
+from core.calibration.calibrate import Method
 from drivers.sim.settings import SimSettings
 from tests.core.sessions import Session, session
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from core.frames import GreyImage
+from core.images import GreyImage
 
 Damage = Callable[[GreyImage, np.random.Generator], GreyImage]
 

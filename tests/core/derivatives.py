@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from core.site import FloatArray
+from core.arrays import FloatArray
 
 
 def by_differences(function: Callable[[FloatArray], FloatArray], steps: FloatArray) -> FloatArray:

@@ -7,18 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from core.adjustment import Adjusted, AdjustmentPriors, adjust
-from core.board import Board
-from core.board_shape import board_terms, shape_sigmas
-from core.discs import Discs
-from core.dual import drawn_rig, rig_prior
-from core.intrinsics import lens_prior, nominal_lens
-from core.lens import Lens
-from core.pose import Pose
-from core.resection import BoardView
-from core.rig import MainView, Rig
-from core.setup import Levels, Setup
-from core.site import CheckerboardTarget, FloatArray
+from core.adjustment.bundle_adjustment import Adjusted, AdjustmentPriors, adjust
+from core.arrays import FloatArray
+from core.calibration.joint_fit import drawn_rig, rig_prior
+from core.checkerboard.board import Board
+from core.checkerboard.board_shape import board_terms, shape_sigmas
+from core.checkerboard.resection import BoardView
+from core.discs.disc_finder import Discs
+from core.geometry.lens import Lens
+from core.geometry.pose import Pose
+from core.lens.intrinsics import lens_prior, nominal_lens
+from core.rig.calibrated_site import Levels, Setup
+from core.rig.rigid import MainView, Rig
+from core.site import CheckerboardTarget
 from tests.core.scenes import small_site
 
 CORNER_PX = 0.005

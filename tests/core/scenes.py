@@ -7,13 +7,13 @@ from datetime import datetime, timedelta
 
 import numpy as np
 
-from core.calibration import CalibrationView, ViewRole
-from core.frames import GreyImage
+from core.arrays import FloatArray
+from core.calibration.calibrate import CalibrationView, ViewRole
+from core.images import GreyImage
 from core.site import (
     CameraGeometry,
     CheckerboardTarget,
     CirclesTarget,
-    FloatArray,
     QualityLimits,
     RigPrior,
     Site,

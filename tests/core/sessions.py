@@ -8,11 +8,18 @@ from datetime import datetime
 
 import numpy as np
 
-from core.calibration import Calibration, CalibrationReport, CalibrationView, Method, calibrate
-from core.frames import GreyImage
+from core.arrays import FloatArray
+from core.calibration.calibrate import (
+    Calibration,
+    CalibrationReport,
+    CalibrationView,
+    Method,
+    calibrate,
+)
+from core.images import GreyImage
 from core.measurement import measure_pair
 from core.results import Measurement
-from core.site import FloatArray, Site
+from core.site import Site
 from drivers.sim.settings import Scenario, SimSettings
 from drivers.sim.world import Truth, World
 from tests.core.scenes import (

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from core.frames import GreyImage
-from core.pose import Pose
-from core.site import CirclesTarget, FloatArray
+from core.arrays import FloatArray
+from core.geometry.pose import Pose
+from core.images import GreyImage
+from core.site import CirclesTarget
 from drivers.sim.geometry import FLIP_Y_Z, TrueLens
 from drivers.sim.kernels import Float32Array
 from drivers.sim.render import MARGIN_PX, CameraRenderer, Look

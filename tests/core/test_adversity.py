@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
-from core.calibration import calibrate
-from core.corners import locate_board
-from core.discs import find_discs
+from core.calibration.calibrate import calibrate
+from core.checkerboard.corners import locate_board
+from core.checkerboard.resection import resect
+from core.discs.disc_finder import find_discs
 from core.errors import TargetNotFoundError
-from core.frames import GreyImage
+from core.images import GreyImage
 from core.measurement import measure_pair
-from core.resection import resect
 from core.results import Flag
 from drivers.sim.settings import SimSettings
 from tests.core.boards import AS_CORE, BoardScene
@@ -22,7 +22,7 @@ from tests.core.damage import blurred, covered, dimmed, noisy, shaded, spotted
 from tests.core.scenes import CENTRES_MM, MINUTE, reference_utc
 from tests.core.sessions import session
 from tests.core.targets import PX_PER_MM, TargetScene
-from tests.sim.rigs import site
+from tests.drivers.sim.rigs import site
 
 
 @pytest.fixture(scope="module")

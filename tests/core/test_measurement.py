@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.calibration import Calibration
-from core.frames import GreyImage
+from core.calibration.calibrate import Calibration
+from core.images import GreyImage
 from core.measurement import measure_pair
-from core.quality import judge_motion
+from core.quality.verdicts import judge_motion
 from core.results import Flag, Measurement, Reason, RigMotion
 from drivers.sim.settings import Motion, Optics, Scenario, Sensor
 from tests.core.damage import DAMAGES

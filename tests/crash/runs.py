@@ -11,20 +11,20 @@ from pathlib import Path
 
 from alembic import command
 
-from daemon.disk.rules import Rules
-from daemon.pipeline import record_late
-from daemon.recovery import mark_finished, mark_stop
+from daemon.retention.rules import Rules
+from daemon.slots.pipeline import record_late
+from daemon.slots.recovery import mark_finished, mark_stop
 from daemon.store.database import FILE_NAME
 from daemon.store.engine import make_engine
 from daemon.store.migrate import alembic_config
 from daemon.store.records import GapCause
-from daemon.store.times import slot_text
+from daemon.times import slot_text
 from drivers.errors import DeviceLostError
 from tests.crash.disk import Tree, read_tree
 from tests.crash.promises import STEP, Promises, read_database
 from tests.crash.recording import STATE, Run, Scribe
 from tests.crash.station import PERIOD_S, daemon, heard
-from tests.store.examples import calibration
+from tests.daemon.store.examples import calibration
 
 START = datetime(2026, 3, 1, 23, 57, 30, tzinfo=UTC)
 FIRST = START + STEP / 2

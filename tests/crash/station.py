@@ -19,10 +19,10 @@ import pytest
 import structlog
 
 from core.results import Displacement, Flag, Measurement
-from daemon import pipeline
-from daemon.disk.rules import Rules
-from daemon.measuring import ImagePair
-from daemon.runner import SlotRunner
+from daemon.retention.rules import Rules
+from daemon.slots import pipeline
+from daemon.slots.measuring import ImagePair
+from daemon.slots.runner import SlotRunner
 from daemon.store.database import Store
 from daemon.store.opening import open_checked_store
 from drivers.clock import SteppedClock

@@ -22,10 +22,10 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from daemon.errors import StoreError
 from daemon.log import configure_log
-from daemon.recovery import mark_stop
+from daemon.slots.recovery import mark_stop
 from daemon.store.database import open_store
-from daemon.store.errors import StoreError
 from tests.crash.station import PERIOD_S, daemon, measured_by_eye
 
 START = datetime(2026, 3, 1, 23, 57, 30, tzinfo=UTC)

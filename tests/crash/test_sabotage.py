@@ -13,7 +13,7 @@ import structlog
 from daemon.store import sqlite
 from daemon.store.database import Store
 from daemon.store.records import MeasurementRecord
-from daemon.store.times import slot_text
+from daemon.times import slot_text
 from tests.crash.disk import Cut
 from tests.crash.lossy_fs import LossyMount
 from tests.crash.recording import cut_states, judge, record

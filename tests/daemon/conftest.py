@@ -18,16 +18,16 @@ from core.site import (
     Site,
 )
 from daemon.clock.machine import Machine
-from daemon.disk.guard import DiskGuard
-from daemon.disk.rules import Rules
-from daemon.operator.notify import Notifier
-from daemon.operator.reporting import Reporter
-from daemon.pipeline import Pipeline
-from daemon.recovery import recover
-from daemon.runner import SlotRunner
+from daemon.control.notify import Notifier
+from daemon.control.reporting import Reporter
+from daemon.retention.guard import DiskGuard
+from daemon.retention.rules import Rules
 from daemon.schedule import Schedule
+from daemon.slots.pipeline import Pipeline
+from daemon.slots.recovery import recover
+from daemon.slots.runner import SlotRunner
 from daemon.store.database import open_store
-from daemon.store.frames import FrameArchive
+from daemon.store.frames.archive import FrameArchive
 from drivers.clock import SteppedClock
 from drivers.protocols import CapturedFrame, CapturedPair
 from tests.daemon.times import minute_of

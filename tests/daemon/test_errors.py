@@ -7,8 +7,15 @@ import click
 import pytest
 
 from core.errors import NotObservableError
-from daemon.errors import ConfigError, DcamError, HardwareError, UsageError, WorkFailedError, run
-from daemon.store.errors import DatabaseNewerError
+from daemon.error_report import run
+from daemon.errors import (
+    ConfigError,
+    DatabaseNewerError,
+    DcamError,
+    HardwareError,
+    UsageError,
+    WorkFailedError,
+)
 from drivers.errors import DeviceLostError, FrameSetError
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from daemon.ctl import cli
-from daemon.errors import run
+from daemon.error_report import run
 
 ROOT = Path(__file__).parents[2]
 OWN_CONFIG = '[site]\nname = "ours"\n'

@@ -23,11 +23,18 @@ from drivers.protocols import Camera, CameraSettings, CapturedFrame
 from drivers.sim.cameras import SimulatedCamera
 from drivers.sim.settings import Scenario, SimSettings
 from drivers.sim.world import World
-from tests.gige.bench import HEIGHT_PX, WIDTH_PX, gige_network, image_index, running, shoot
-from tests.gige.bench import write_images as write_noise
-from tests.gige.kinds import KindName, kind_of
-from tests.gige.loopback import ADDRESSES
-from tests.sim.rigs import site
+from tests.drivers.genicam.gige.bench import (
+    HEIGHT_PX,
+    WIDTH_PX,
+    gige_network,
+    image_index,
+    running,
+    shoot,
+)
+from tests.drivers.genicam.gige.bench import write_images as write_noise
+from tests.drivers.genicam.gige.kinds import KindName, kind_of
+from tests.drivers.genicam.gige.loopback import ADDRESSES
+from tests.drivers.sim.rigs import site
 
 SERIAL = "15290000"
 

@@ -19,7 +19,7 @@ from drivers.protocols import CapturedFrame
 from drivers.sim.cameras import SimulatedCamera
 from drivers.sim.settings import Scenario, SimSettings
 from drivers.sim.world import World
-from tests.sim.rigs import site
+from tests.drivers.sim.rigs import site
 
 SLOT = datetime(2026, 3, 1, tzinfo=UTC)
 PIXELS = np.zeros((4, 6), np.uint8)

@@ -11,7 +11,7 @@ from benchmarks.soak_history import SITE
 from daemon.store.database import open_store_readonly
 from drivers.frameset import read_frame_set
 from drivers.sim.head_angles import AnglesAsker
-from tests.heads.test_head_programs import ROOT, simulated_head
+from tests.drivers.heads.test_head_programs import ROOT, simulated_head
 
 KILLS, SEED = 10, 5
 REFERENCE_FILES = 20

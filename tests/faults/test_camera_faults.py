@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from benchmarks.memory import resident_mb
-from daemon.operator.notify import Notifier
-from daemon.operator.reporting import Reporter
-from daemon.recovery import recover
-from daemon.runner import SlotRunner
-from daemon.supervision import ProcessSpentError
+from daemon.control.notify import Notifier
+from daemon.control.reporting import Reporter
+from daemon.slots.recovery import recover
+from daemon.slots.runner import SlotRunner
+from daemon.slots.supervision import ProcessSpentError
 from tests.daemon.conftest import Station
 from tests.faults.cameras import ERRORS, GARBAGE
 from tests.faults.script import FaultySource, deadlines_without_waiting

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from core.results import Flag, Reason
+from daemon.errors import StoreError
 from daemon.store.database import open_store_readonly
-from daemon.store.errors import StoreError
 from daemon.store.records import GapCause
-from tests.commands.conftest import SIMULATED
+from tests.daemon.commands.conftest import SIMULATED
 
 ROOT = Path(__file__).parents[2]
 DEADLINE_S = 120.0

@@ -15,7 +15,7 @@ import libfaketime
 import pytest
 
 from daemon.store.database import ALWAYS, open_store
-from tests.commands.conftest import SIMULATED
+from tests.daemon.commands.conftest import SIMULATED
 
 ROOT = Path(__file__).parents[2]
 LIBRARY = next(Path(libfaketime.__file__).parent.rglob("libfaketime.so.1"))

@@ -25,9 +25,9 @@ from daemon.config.reading import load_config
 from drivers.frameset import FrameSetRow, format_slot, write_table
 from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
 from drivers.sim.settings import SimSettings
-from tests.gige.bench import gige_network, image_index, read_pixels, running
-from tests.gige.loopback import ADDRESSES
-from tests.gige.process import REPOSITORY, CameraProcess
+from tests.drivers.genicam.gige.bench import gige_network, image_index, read_pixels, running
+from tests.drivers.genicam.gige.loopback import ADDRESSES
+from tests.drivers.genicam.gige.process import REPOSITORY, CameraProcess
 from tests.laboratory import laboratory
 
 PERIOD_S = 2

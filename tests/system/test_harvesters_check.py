@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.gentl.bench import producer
-from tests.gige.bench import gige_network, running, write_images
-from tests.gige.kinds import kind_of
-from tests.gige.loopback import ADDRESSES
-from tests.gige.process import REPOSITORY
+from tests.drivers.genicam.gentl.bench import producer
+from tests.drivers.genicam.gige.bench import gige_network, running, write_images
+from tests.drivers.genicam.gige.kinds import kind_of
+from tests.drivers.genicam.gige.loopback import ADDRESSES
+from tests.drivers.genicam.gige.process import REPOSITORY
 from tests.laboratory import laboratory
 
 CONFIG = (

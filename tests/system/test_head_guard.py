@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.commands.conftest import SIMULATED
+from tests.daemon.commands.conftest import SIMULATED
 
 ROOT = Path(__file__).parents[2]
 DEADLINE_S = 60.0

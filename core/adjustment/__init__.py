@@ -1,0 +1,1 @@
+"""The joint least-squares adjustment of lens, board, poses and rig."""

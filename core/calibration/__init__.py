@@ -1,0 +1,1 @@
+"""From calibration views to a calibrated site, and how far to trust it."""

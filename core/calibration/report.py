@@ -1,0 +1,238 @@
+"""What a calibration is worth, in sentences and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from core.arrays import FloatArray
+from core.calibration.joint_fit import (
+    MIN_LENS_VIEWS,
+    Fit,
+    Recipe,
+    drawn_rig,
+    main_misses_px,
+    rig_prior,
+)
+from core.calibration.observability import (
+    DriftError,
+    determined_share,
+    drift_errors,
+    further_motion,
+    model_sentence,
+)
+from core.calibration.views import Rejected
+from core.checkerboard.resection import resect
+from core.lens.lens_choice import LensChoice
+from core.lens.lens_coverage import lens_coverage
+from core.results import CalibrationReport
+from core.rig.calibrated_site import Setup
+from core.rig.compensation import affine_error_px
+from core.rig.paper import PaperModel
+from core.rig.rigid import Rig
+from core.site import Site
+
+_FEW_LENS_VIEWS = 10
+_FAR_SIGMAS = 4.5
+"""Three angles drawn by chance are 3.5 sigma off at one site in 150, 4.5 at one in 7000."""
+
+
+def write_report(
+    fit: Fit,
+    setup: Setup,
+    recipe: Recipe,
+    choice: LensChoice,
+    rejected: Sequence[Rejected],
+    held_out: FloatArray,
+) -> CalibrationReport:
+    """Judge a calibration. held_out (n, 2) are the errors in mm at held-out positions."""
+    drift = drift_errors(setup, recipe.site)
+    problems = _problems(fit, setup, recipe, drift, held_out)
+    figures = _figures(fit, setup, recipe, drift, held_out)
+    figures["rejected"] = [{"view": name, "reason": reason} for name, reason in rejected]
+    figures["problems"] = problems
+    figures["lens_held_out_px"] = {m.value: px for m, px in choice.held_out_px.items()}
+    views = fit.views
+    lines = [
+        "calibration passed" if not problems else "calibration NOT passed: " + "; ".join(problems),
+        (
+            f"views used: {len(views.lens)} lens, 1 reference, {len(views.rig)} rig; "
+            f"rejected: {len(rejected)}"
+        ),
+        *(f"rejected {name}: {reason}" for name, reason in rejected),
+        (
+            f"corners fit to {figures['sub_rms_px']:.4f} px rms, main discs to "
+            f"{figures['main_rms_px']:.4f} px rms"
+        ),
+        choice.sentence,
+        model_sentence(setup.model),
+        "expected error of a row after the drift expected (1 sigma, in brackets the calibration's "
+        "part): "
+        + ", ".join(f"{d.motion} {d.sigma_mm:.3f} mm ({d.calibration_mm:.3f})" for d in drift),
+    ]
+    advice = further_motion(setup, recipe.site)
+    if advice is not None:
+        lines.append(advice)
+    if len(held_out):
+        lines.append(
+            f"validated on {len(held_out)} held-out positions: {_rms(held_out):.4f} mm rms, "
+            f"{float(np.hypot(*held_out.T).max()):.4f} mm at most"
+        )
+    lines += _warnings(fit, figures)
+    return CalibrationReport(not problems, tuple(lines), figures)
+
+
+def _rms(errors: FloatArray) -> float:
+    return float(np.sqrt((errors**2).sum(axis=1).mean()))
+
+
+def _problems(
+    fit: Fit,
+    setup: Setup,
+    recipe: Recipe,
+    drift: Sequence[DriftError],
+    held_out: FloatArray,
+) -> list[str]:
+    """Why the calibration should not be used; empty if it may."""
+    limit = recipe.site.quality.max_sigma_mm
+    worst = max(drift, key=lambda d: d.sigma_mm)
+    problems = []
+    if worst.sigma_mm > limit:
+        problems.append(
+            f"a {worst.motion} of the expected drift would be corrected to {worst.sigma_mm:.3f} mm "
+            f"(1 sigma) only, the limit is {limit:g} mm"
+        )
+    if len(held_out) and _rms(held_out) > limit:
+        problems.append(f"held-out positions are wrong by {_rms(held_out):.3f} mm rms")
+    if len(fit.views.lens) < MIN_LENS_VIEWS:
+        problems.append(
+            f"{len(fit.views.lens)} lens views; pan and tilt do not determine the lens, take 12 "
+            "or more views with the board in the hand"
+        )
+    problems += _contradictions(setup, recipe)
+    if isinstance(setup.model, PaperModel) and setup.model.null_directions:
+        problems.append(
+            f"{setup.model.null_directions} of the paper's nine parameters are not determined by "
+            "the motions; use --method rigid"
+        )
+    return problems
+
+
+def _contradictions(setup: Setup, recipe: Recipe) -> list[str]:
+    """Where the views put the rig far from what drawing and survey say."""
+    if not isinstance(setup.model, Rig):
+        return []
+    site = recipe.site
+    drawn = drawn_rig(site, setup.B)
+    sigmas = np.abs(setup.model.deviation_from(drawn)) / rig_prior(site)
+    turn, offset = float(np.linalg.norm(sigmas[:3])), float(np.linalg.norm(sigmas[3:6]))
+    distance, scale = float(sigmas[6]), float(sigmas[7])
+    problems = []
+    if turn > _FAR_SIGMAS:
+        problems.append(
+            f"the cameras are turned against one another {turn:.1f} sigma from the drawing; check "
+            "[rig] rotation_main_sub_deg, its signs and its sigma"
+        )
+    if max(offset, distance, scale) > _FAR_SIGMAS:
+        problems.append(
+            f"the rig does not fit the survey (offset {offset:.1f}, target distance "
+            f"{distance:.1f}, scale {scale:.1f} sigma off); check [rig] offset_main_sub_mm and its "
+            "signs, [target.main] distance_mm and centres_mm"
+        )
+    return problems
+
+
+def _warnings(fit: Fit, figures: dict[str, Any]) -> list[str]:
+    warnings = []
+    if MIN_LENS_VIEWS <= len(fit.views.lens) < _FEW_LENS_VIEWS:
+        warnings.append(
+            f"warning: {len(fit.views.lens)} lens views; take 12 or more, the board in the hand"
+        )
+    if not fit.views.reference.board.certain:
+        warnings.append(
+            "warning: which part of the board the reference shows is not certain; let at least "
+            "one border of the board into the sub image in each direction"
+        )
+    if figures["affine_error_px"] > 1.0:
+        warnings.append(
+            f"warning: Eq. 5 fails ({figures['affine_error_px']:.1f} px for the expected drift); "
+            "the paper's affine camera does not hold here, the rigid method does not need it"
+        )
+    return warnings
+
+
+def _figures(
+    fit: Fit, setup: Setup, recipe: Recipe, drift: Sequence[DriftError], held_out: FloatArray
+) -> dict[str, Any]:
+    reference = fit.views.reference.discs
+    misses = [
+        main_misses_px(setup.model, view.discs, reference, motion)
+        for view, motion in zip(fit.views.rig, fit.motions, strict=True)
+    ]
+    site = recipe.site
+    off_axis = float(np.nanmax(np.abs(setup.reference_discs_px - site.main.centre_px)))
+    figures: dict[str, Any] = {
+        "method": recipe.method.value,
+        "sub_rms_px": setup.levels.sub_rms_px,
+        "main_rms_px": float(np.sqrt(np.mean(np.concatenate(misses) ** 2))),
+        "view_rms_px": {
+            v.name: round(r, 5)
+            for v, r in zip(fit.views.all, fit.adjusted.view_rms_px, strict=True)
+        },
+        "lens_model": setup.lens.model.value,
+        "lens": setup.lens.parameters.tolist(),
+        "lens_sigma": fit.posterior.lens_sigma.tolist(),
+        "board_scale": fit.adjusted.shape[:2].tolist(),
+        "board_bow_mm": float(np.ptp(setup.corners_mm[:, 2])),
+        "board_spread_mm": {
+            "columns": fit.adjusted.spreads.column_mm,
+            "rows": fit.adjusted.spreads.row_mm,
+            "corners": fit.adjusted.spreads.corner_mm,
+        },
+        "px_per_mm": float(np.linalg.svd(setup.B, compute_uv=False)[0]),
+        "expected_error_mm": {d.motion: d.sigma_mm for d in drift},
+        "held_out_mm": held_out.tolist(),
+        "affine_error_px": affine_error_px(
+            site.main_target.distance_mm, site.quality.expected_drift_mm, off_axis
+        ),
+        "max_rotation_mrad": setup.levels.max_rotation_rad * 1e3,
+        "rig_views": _rig_views(fit, setup),
+        "image_cells": _image_cells(fit, site),
+    }
+    if isinstance(setup.model, Rig):
+        figures["determined_by_views"] = determined_share(fit.posterior, rig_prior(site)).tolist()
+        figures["rig_sigma"] = fit.posterior.model_sigma.tolist()
+        figures["depth_mm"] = setup.model.depth_mm
+    else:
+        figures["singular_values"] = setup.model.singular_values.tolist()
+    return figures
+
+
+def _rig_views(fit: Fit, setup: Setup) -> list[dict[str, Any]]:
+    """Each rig position as a row would see it: the motion by the sub image alone, what is left."""
+    to_mm, reference = np.linalg.inv(setup.B), fit.views.reference.discs
+    positions = []
+    for view in fit.views.rig:
+        pose = resect(setup.lens, setup.corners_mm, view.board.view).pose
+        motion = pose.compose(setup.reference_pose.inverse())
+        left_px = main_misses_px(setup.model, view.discs, reference, motion).mean(axis=0)
+        positions.append(
+            {
+                "view": view.name,
+                "rotation_mrad": (motion.rotation_rad * 1e3).tolist(),
+                "translation_mm": motion.t_mm.tolist(),
+                "left_mm": (to_mm @ left_px).tolist(),
+            }
+        )
+    return positions
+
+
+def _image_cells(fit: Fit, site: Site) -> list[list[int]]:
+    """How many corners the views of the lens have in each cell of the sub image."""
+    lens_views = fit.views.lens
+    points = [view.board.view.points_px for view in lens_views]
+    poses = fit.adjusted.poses[len(fit.views.all) - len(lens_views) :]
+    cells: list[list[int]] = lens_coverage(points, poses, site.sub).cells.tolist()
+    return cells

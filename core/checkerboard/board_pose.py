@@ -1,0 +1,45 @@
+"""The pose of a board in one image, when the lens is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from core.arrays import FloatArray
+from core.checkerboard.board import Board
+from core.checkerboard.corners import detect_board, refine_board
+from core.checkerboard.resection import BoardPose, BoardView, resect
+from core.errors import TargetNotFoundError
+from core.geometry.lens import Lens
+from core.images import GreyImage
+
+
+@dataclass(frozen=True, slots=True)
+class SeenBoard:
+    """A board in an image."""
+
+    view: BoardView
+    """Its corners, located."""
+    fit: BoardPose
+    """Its pose `T_CS_WS`, with the covariance that follows from the image's noise."""
+
+
+def board_pose(
+    image: GreyImage, lens: Lens, board: Board, corners_mm: FloatArray | None = None
+) -> SeenBoard:
+    """Find a board and fit its pose; a part of it may be outside the image or hidden.
+
+    corners_mm (m, 3) is the board as calibrated (`LensCalibration.adjusted.corners_mm`); without
+    it the board is taken as drawn. Raises TargetNotFoundError, also where the border of the
+    board and the colour of its squares leave open which of its corners are seen.
+    """
+    corners_mm = board.corners_mm if corners_mm is None else corners_mm
+    found = detect_board(image, board)
+    if not found.certain:
+        msg = (
+            "board: which part of it is seen is not certain; let at least one border of the board "
+            "into the image in each direction"
+        )
+        raise TargetNotFoundError(msg)
+    near = resect(lens, corners_mm, found.view).pose
+    located = refine_board(image, lens, near, board, corners_mm)
+    return SeenBoard(located.view, resect(lens, corners_mm, located.view, near))

@@ -1,0 +1,130 @@
+"""Corners located by fitting a model of the grey values around them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray, IntArray
+from core.checkerboard.corner_equations import BLUR, CORNER_PARAMETERS, GAIN, SHIFT
+from core.checkerboard.corner_kernels import NO_SIDES, fit_corners, fit_even_corners
+from core.checkerboard.image_noise import look
+from core.checkerboard.light_kernels import BOX, box_means
+from core.grey_fit import covariances
+from core.images import PixelArray
+
+CORNER_REACH_SQUARES = 0.5
+"""The model covers the pixels nearer to this corner than to its neighbours."""
+_EVEN_BAND_BLURS = 2.1
+"""Pixels further than so many blur widths from both edges do not say where they are."""
+_BAND_PX, _BAND_BLURS = 0.3, 2.2
+"""Where the light is a guess, a little wider."""
+_WIDE_BAND_PX, _WIDE_BAND_BLURS = 2.0, 2.6
+"""For squares too small for boxes: wide enough to tell the light's slope from an edge's shift."""
+_GAP_PX, _GAP_BLURS = 2.0, 3.0
+"""Boxes nearer to an edge would see its blur."""
+_BOXES_FROM_PX = 24.0
+_STEPS = 6
+_ODD = 1.3
+"""A corner whose misses are so much larger (squared) than most others' has something on it."""
+
+
+@dataclass(frozen=True, slots=True)
+class CornerFits:
+    """Corners located by their grey values."""
+
+    points_px: FloatArray
+    """(n, 2)."""
+    covariance_px2: FloatArray
+    """(n, 2, 2) from the noise measured about each corner."""
+    usable: BoolArray
+    """(n,)."""
+    noise_dn: FloatArray
+    """(n,) rms of the grey values about the model, over white and black."""
+    contrast_dn: FloatArray
+    """(n,) white minus black."""
+    light_dn: FloatArray
+    """(n,) mean of white and black."""
+    blur_px: FloatArray
+    """(n,) 1-sigma width of the edges."""
+
+
+def shrink(pixels: PixelArray) -> FloatArray:
+    """Shrink an image to the means of its boxes of BOX x BOX px, float32; a rest is cut off."""
+    small = np.empty((pixels.shape[0] // BOX, pixels.shape[1] // BOX), np.float32)
+    box_means(pixels, small)
+    return small
+
+
+def locate_corners(
+    pixels: PixelArray,
+    saturation_dn: float,
+    points_px: FloatArray,
+    maps: FloatArray,
+    reach_squares: float = CORNER_REACH_SQUARES,
+) -> CornerFits:
+    """Locate corners near predicted points.
+
+    pixels (h, w); points_px (n, 2); maps (n, 2, 5): board coordinates about the corner in
+    squares as polynomials (u, v, u^2, u v, v^2) of the pixel's offset. A few corners tell first
+    how noisy white and black are, how wide the edges, and how far off the prediction is. Then
+    most corners take one step; those with something odd about them (a shadow's edge, dust, an
+    insect) are fitted with the light's slopes free and less weight for what the model cannot
+    explain.
+    """
+    points_px, maps = np.ascontiguousarray(points_px), np.ascontiguousarray(maps)
+    n = len(points_px)
+    half_px, square_px = _extent(maps, reach_squares)
+    seen = look(pixels, points_px, maps, half_px, reach_squares, saturation_dn)
+    state, information = np.zeros((n, CORNER_PARAMETERS)), np.zeros((n, 2, 2))
+    figures = np.zeros((n, 3))
+    blur = float(np.median(seen.blur_px[:, 0])) if n else 1.0
+    limits = np.array([reach_squares, _WIDE_BAND_PX + _WIDE_BAND_BLURS * blur, 0.0, saturation_dn])
+    boxes, odd = np.zeros((0, 0), np.float32), np.arange(n)
+    if square_px > _BOXES_FROM_PX:
+        boxes = shrink(pixels)
+        limits[1:3] = _EVEN_BAND_BLURS * blur, _GAP_PX + _GAP_BLURS * blur
+        fit_even_corners(
+            pixels, boxes, seen.points_px, maps, half_px, seen.weights, limits, seen.blur_px,
+            _STEPS, state, information, figures,
+        )  # fmt: skip
+        odd = _odd(figures)
+        limits[1] = _BAND_PX + _BAND_BLURS * blur
+    fit_corners(
+        pixels, boxes, seen.points_px, maps, half_px, odd, seen.weights, limits, seen.blur_px,
+        _STEPS, state, information, figures, NO_SIDES,
+    )  # fmt: skip
+    ok = figures[:, 2] > 0
+    factor = np.sqrt(_misfit(figures))
+    return CornerFits(
+        seen.points_px + state[:, SHIFT:],
+        covariances(information, factor, ok),
+        ok,
+        factor * seen.noise_dn,
+        2.0 * np.abs(state[:, GAIN]),
+        state[:, 0],
+        state[:, BLUR],
+    )
+
+
+def _misfit(figures: FloatArray) -> FloatArray:
+    """(n,) mean square of the misses over what the noise explains."""
+    return np.asarray(figures[:, 0] / np.maximum(figures[:, 1], 1.0))
+
+
+def _odd(figures: FloatArray) -> IntArray:
+    """Index of the corners that even light and noise alone do not explain."""
+    even, misfit = figures[:, 2] > 0, _misfit(figures)
+    if even.any():
+        even &= misfit < _ODD * np.median(misfit[even])
+    return np.nonzero(~even)[0]
+
+
+def _extent(maps: FloatArray, reach_squares: float) -> tuple[FloatArray, float]:
+    """Half the side of the window about each corner (n,), px, and a typical square's side, px."""
+    a, b, c, d = maps[:, 0, 0], maps[:, 0, 1], maps[:, 1, 0], maps[:, 1, 1]
+    per_det = 1.0 / np.abs(a * d - b * c)
+    wide, tall = np.abs(d) + np.abs(b), np.abs(a) + np.abs(c)
+    half = 1.05 * reach_squares * per_det * np.maximum(wide, tall) + 1.0
+    return half, float(np.median(np.sqrt(per_det))) if len(maps) else 0.0

@@ -1,0 +1,245 @@
+"""The board's corners in an image: found without a guess, or refined from a predicted pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray, IntArray
+from core.checkerboard.board import Board
+from core.checkerboard.corner_fit import CORNER_REACH_SQUARES, CornerFits, locate_corners, shrink
+from core.checkerboard.lattice import Lattice, NamedLattice, join, name_near, name_on_board
+from core.checkerboard.map_kernels import TERMS, fit_maps
+from core.checkerboard.resection import MIN_CORNERS, BoardView, resect
+from core.checkerboard.saddle_points import find_saddles
+from core.checkerboard.spurious_lines import without_strays
+from core.errors import TargetNotFoundError
+from core.geometry.lens import Lens
+from core.geometry.pose import Pose
+from core.grey_fit import as_float
+from core.images import GreyImage
+
+_FIRST_REACH_PX, _FIRST_REACH_SQUARES = 7.0, 0.3
+"""Small at first: without the lens, the edges are only straight near the corner."""
+_STENCIL_SQUARES = 0.5
+_CLEARLY_BETTER = 1.5
+_ROUGH_MISFIT_SQUARES = 0.1
+_ROUGHLY = 1e-6
+_LEAST_SQUARE_PX = 9.0
+"""Squares that are larger than this in a smaller image are found in it."""
+_MOST = 0.9
+_BLIND_PX, _BLIND_SHRUNK_PX = 12.0, 9.0
+"""So near to the edge of an image, and in px of a smaller one, no corner is found."""
+
+
+@dataclass(frozen=True, slots=True)
+class LocatedBoard:
+    """What an image shows of the board."""
+
+    view: BoardView
+    certain: bool
+    """False if the corners could also be others of the board (only part of it was seen)."""
+    white_dn: FloatArray
+    """(m,) grey of the white squares about each of the view's corners."""
+    black_dn: FloatArray
+    """(m,) and of the black ones."""
+    missing_px: FloatArray
+    """(k, 2) about where corners should be that are not clear enough."""
+    noise_dn: float
+    contrast_dn: float
+    blur_px: float
+    near: Pose | None = None
+    """Where the board is, to a tenth of a pixel; None where no lens was known."""
+
+    @property
+    def visible(self) -> int:
+        """Corners that should be in the image."""
+        return len(self.view.index) + len(self.missing_px)
+
+
+def detect_board(image: GreyImage, board: Board) -> LocatedBoard:
+    """Find the board without a guess and without a lens; it may be partly outside the image.
+
+    Raises TargetNotFoundError.
+    """
+    height, width = image.pixels.shape
+    named = name_on_board(_lattice(image), board, width, height)
+    maps = np.zeros((len(named.index), 2, 5))
+    maps[:, :, :2] = np.linalg.inv(named.steps_px)
+    square_px = float(np.median(np.linalg.norm(named.steps_px, axis=1)))
+    reach = float(np.clip(_FIRST_REACH_PX / square_px, _FIRST_REACH_SQUARES, CORNER_REACH_SQUARES))
+    fits = locate_corners(image.pixels, image.saturation_dn, named.points_px, maps, reach)
+    return _located(named.index, fits, None, certain=named.certain)
+
+
+def locate_board(
+    image: GreyImage, lens: Lens, board: Board, corners_mm: FloatArray, expected: Pose
+) -> LocatedBoard:
+    """Find the board, then locate all its corners with the lens and the board known.
+
+    The expected pose `T_CS_WS` decides which corners are seen where the board's border does
+    not. Where both leave a doubt, the corners themselves decide, by how well they fit the board
+    as it was printed. Raises TargetNotFoundError.
+    """
+    height, width = image.pixels.shape
+    expected_px = lens.project(expected.apply(corners_mm))
+    inside = (expected_px > 0.0).all(axis=1) & (expected_px < [width, height]).all(axis=1)
+    square_px = lens.parameters[0] * board.square_mm / expected.t_mm[2]
+    lattice = _lattice(image, square_px, int(inside.sum()))
+    candidates = name_near(lattice, board, width, height, expected_px)
+    tried = []
+    for named in candidates:
+        pose = _rough_pose(lens, corners_mm, named, expected)
+        located = refine_board(image, lens, pose, board, corners_mm, certain=named.certain)
+        if len(candidates) == 1:
+            return located
+        tried.append((resect(lens, corners_mm, located.view, pose).plain_rms_px, located))
+    nearest = tried[0][1]
+    tried.sort(key=lambda attempt: attempt[0])
+    if tried[1][0] > _CLEARLY_BETTER * tried[0][0]:
+        return replace(tried[0][1], certain=True)
+    return nearest
+
+
+def _rough_pose(lens: Lens, corners_mm: FloatArray, named: NamedLattice, expected: Pose) -> Pose:
+    """Pose from corners that are right to some hundredths of a pixel."""
+    covariance = np.broadcast_to(0.05**2 * np.eye(2), (len(named.index), 2, 2))
+    view = BoardView(named.index, named.points_px, covariance)
+    found = resect(lens, corners_mm, view, expected, settled=_ROUGHLY)
+    step_px = float(np.median(np.linalg.norm(named.steps_px, axis=1)))
+    if found.plain_rms_px > _ROUGH_MISFIT_SQUARES * step_px:
+        msg = f"sub target: what looks like a board does not fit it, by {found.plain_rms_px:.1f} px"
+        raise TargetNotFoundError(msg)
+    return found.pose
+
+
+def refine_board(
+    image: GreyImage,
+    lens: Lens,
+    pose: Pose,
+    board: Board,
+    corners_mm: FloatArray,
+    *,
+    certain: bool = True,
+) -> LocatedBoard:
+    """Locate all corners near where a predicted pose `T_CS_WS` puts them.
+
+    The prediction must be right to a third of a square. Raises TargetNotFoundError if no
+    corner should be in the image.
+    """
+    index, points, maps = predict_corners(lens, pose, board, corners_mm, image.pixels.shape)
+    if len(index) == 0:
+        msg = "sub target: the predicted pose puts no corner into the image"
+        raise TargetNotFoundError(msg)
+    fits = locate_corners(image.pixels, image.saturation_dn, points, maps)
+    return _located(index, fits, pose, certain=certain)
+
+
+def _lattice(image: GreyImage, square_px: float = 0.0, wanted: int = 0) -> Lattice:
+    """Find the board's corners, to some hundredths of a pixel of the image searched.
+
+    Squares expected to be large are found as well in a smaller image; where fewer corners come
+    of it than most of those wanted, the next larger one is searched too.
+    """
+    height, width = image.pixels.shape
+    best: Lattice | None = None
+    trouble: TargetNotFoundError | None = None
+    for factor in (4, 2, 1):
+        if factor > 1 and square_px < factor * _LEAST_SQUARE_PX:
+            continue
+        try:
+            saddles = find_saddles(_shrunk(image, factor))
+            points = factor * saddles.points_px + 0.5 * (factor - 1)
+            found = join(
+                replace(saddles, points_px=points), max(_BLIND_PX, _BLIND_SHRUNK_PX * factor)
+            )
+            lattice = without_strays(found, width, height)
+        except TargetNotFoundError as error:
+            trouble = error
+            continue
+        if best is None or len(lattice.ij) > len(best.ij):
+            best = lattice
+        if len(best.ij) >= _MOST * wanted:
+            return best
+    if best is None:
+        raise trouble or TargetNotFoundError
+    return best
+
+
+def _shrunk(image: GreyImage, factor: int) -> FloatArray:
+    """Give the image as float32, at 1/factor of its size by the means of blocks."""
+    if factor == 1:
+        return as_float(image)
+    if factor == 4:
+        return shrink(image.pixels)
+    half = cv2.resize(image.pixels, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    return np.asarray(half, dtype=np.float32)
+
+
+def _located(
+    index: IntArray, fits: CornerFits, near: Pose | None, *, certain: bool
+) -> LocatedBoard:
+    usable = fits.usable & _alike(fits)
+    view = BoardView(index, fits.points_px, fits.covariance_px2).select(usable)
+    if usable.sum() < MIN_CORNERS:
+        msg = (
+            f"sub target: {int(usable.sum())} of {len(index)} corners are clear enough to "
+            f"measure, {MIN_CORNERS} are needed"
+        )
+        raise TargetNotFoundError(msg)
+    return LocatedBoard(
+        view,
+        certain,
+        (fits.light_dn + 0.5 * fits.contrast_dn)[usable],
+        (fits.light_dn - 0.5 * fits.contrast_dn)[usable],
+        fits.points_px[~usable],
+        float(np.median(fits.noise_dn[usable])),
+        float(np.median(fits.contrast_dn[usable])),
+        float(np.median(fits.blur_px[usable])),
+        near,
+    )
+
+
+def _alike(fits: CornerFits) -> BoolArray:
+    """Corners whose contrast and residuals are like most others' (not under an insect).
+
+    In shade white and black are darker by the same factor, so that contrast is taken by the light.
+    """
+    if not fits.usable.any():
+        return fits.usable
+    noise = np.median(fits.noise_dn[fits.usable])
+    by_light = fits.contrast_dn / np.maximum(fits.light_dn, 1.0)
+    return np.asarray(
+        (fits.noise_dn < 3.0 * noise)
+        & (by_light > 0.3 * np.median(by_light[fits.usable]))
+        & (fits.contrast_dn > 3.0 * fits.noise_dn)
+        & (fits.blur_px < 5.9)
+    )
+
+
+def predict_corners(
+    lens: Lens, pose: Pose, board: Board, corners_mm: FloatArray, shape: tuple[int, ...]
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Corners that a pose puts into an image of shape (h, w).
+
+    Gives their index (n,), points (n, 2) px, and maps (n, 2, 5): board coordinates about the
+    corner in squares as polynomials (u, v, u^2, u v, v^2) of the pixel's offset, fitted to a
+    3 x 3 stencil of board points.
+    """
+    index = np.nonzero(lens.sees(pose.apply(corners_mm)))[0]
+    points = lens.project(pose.apply(corners_mm[index]))
+    height, width = shape
+    margin = 2.0
+    inside = (points > margin).all(axis=1)
+    inside &= (points[:, 0] < width - 1 - margin) & (points[:, 1] < height - 1 - margin)
+    index, points = index[inside], points[inside]
+    steps = _STENCIL_SQUARES * np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    around = corners_mm[index][:, None, :] + np.concatenate(
+        [steps * board.square_mm, np.zeros((9, 1))], axis=1
+    )
+    pixels = lens.project(pose.apply(around.reshape(-1, 3))).reshape(-1, 9, 2)
+    maps = np.empty((len(index), 2, TERMS))
+    fit_maps(pixels, points, steps, maps)
+    return index, points, maps

@@ -1,0 +1,245 @@
+"""Saddle points joined into the lattice of a checkerboard, and the lattice named."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from core.arrays import BoolArray, FloatArray, IntArray
+from core.checkerboard.board import Board
+from core.checkerboard.lattice_kernels import keep_mutual, largest_component, link_arms
+from core.checkerboard.saddle_points import Saddles
+from core.errors import TargetNotFoundError
+
+_NEIGHBOURS = 13
+_MIN_CORNERS = 12
+_BLIND_PX = 12.0
+
+
+@dataclass(frozen=True, slots=True)
+class Lattice:
+    """Corners with lattice coordinates (i to the right, j down), known up to a shift."""
+
+    ij: IntArray
+    """(n, 2) integers, smallest 0."""
+    points_px: FloatArray
+    """(n, 2)."""
+    polarity: FloatArray
+    """(n,) +1 where the square up and left of the corner is black."""
+    blind_px: float = _BLIND_PX
+    """Corners nearer than this to the edge of the image were not looked for."""
+
+
+def join(saddles: Saddles, blind_px: float = _BLIND_PX) -> Lattice:
+    """Join saddles into the largest lattice. Raises TargetNotFoundError."""
+    if len(saddles.points_px) < _MIN_CORNERS:
+        msg = f"no checkerboard: only {len(saddles.points_px)} corner candidates in the image"
+        raise TargetNotFoundError(msg)
+    arms, links = _links(saddles)
+    index, labels = largest_component(arms, links)
+    if len(index) < _MIN_CORNERS:
+        msg = f"no checkerboard: the largest lattice in the image has {len(index)} corners"
+        raise TargetNotFoundError(msg)
+    return replace(_upright(index, labels, saddles, arms), blind_px=blind_px)
+
+
+def _links(saddles: Saddles) -> tuple[FloatArray, IntArray]:
+    """Arms (n, 4, 2), clockwise, and for each arm the saddle it leads to (n, 4), or -1."""
+    points = saddles.points_px
+    n = len(points)
+    a, b = saddles.directions_rad[:, 0], saddles.directions_rad[:, 1]
+    arms = np.stack(
+        [np.stack([np.cos(t), np.sin(t)], axis=1) for t in (a, b, a + np.pi, b + np.pi)], axis=1
+    )
+    nearest = cKDTree(points).query(points, k=min(_NEIGHBOURS, n))[1]
+    near = np.asarray(nearest, dtype=np.int64)[:, 1:]
+    links, mutual = np.empty((2, n, 4), dtype=np.int64)
+    link_arms(points, near, arms, saddles.polarity, links)
+    keep_mutual(links, mutual)
+    return arms, mutual
+
+
+def _upright(index: IntArray, labels: IntArray, saddles: Saddles, arms: FloatArray) -> Lattice:
+    """Turn the lattice by quarter turns until +i points to the right."""
+    ij, first_arm = labels[:, :2], labels[:, 2]
+    rightness = [arms[index, (first_arm + quarter) % 4, 0].mean() for quarter in range(4)]
+    quarter = int(np.argmax(rightness))
+    for _ in range(quarter):  # +i becomes what was +j
+        ij = np.stack([ij[:, 1], -ij[:, 0]], axis=1)
+    arm = (first_arm + quarter) % 4
+    clockwise_sector_bright = saddles.polarity[index] * np.where(arm % 2 == 0, 1.0, -1.0)
+    return Lattice(
+        ij - ij.min(axis=0),
+        saddles.points_px[index],
+        # The sector clockwise of +i is down and right; up and left is its opposite, alike.
+        -clockwise_sector_bright,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class NamedLattice:
+    """Corners of a lattice with their index on the board."""
+
+    index: IntArray
+    """(n,) index into Board.corners_mm."""
+    points_px: FloatArray
+    """(n, 2)."""
+    steps_px: FloatArray
+    """(n, 2, 2) d(px)/d(square): columns are one square along i and along j."""
+    certain: bool
+    """False if another position on the board would fit as well."""
+
+
+def name_on_board(lattice: Lattice, board: Board, width_px: int, height_px: int) -> NamedLattice:
+    """Find which corners of the board a lattice shows, from its parity and the board's border.
+
+    Where several positions remain, the middle one is taken and `certain` is False. Turns by
+    quarter turns are tried in the order upright, right, left, upside down.
+    Raises TargetNotFoundError.
+    """
+    for quarter in (0, 1, 3, 2):
+        turned = _turned(lattice, quarter)
+        places = _at_borders(turned, board, _places(turned, board), width_px, height_px)
+        if places:
+            return _named(turned, board, places[len(places) // 2], certain=len(places) == 1)
+    raise TargetNotFoundError(_no_place(lattice, board))
+
+
+def name_near(
+    lattice: Lattice, board: Board, width_px: int, height_px: int, expected_px: FloatArray
+) -> tuple[NamedLattice, ...]:
+    """Give the places that a lattice may have on the board, the nearest to a prediction first.
+
+    expected_px (corners, 2) is the predicted image of all corners. One place comes back, and is
+    certain, if the prediction decides clearly and the borders seen do not speak against it.
+    What covers a part of the board can look like its border, so the nearest place counts even
+    against the borders. Raises TargetNotFoundError.
+    """
+    places = _places(lattice, board)
+    if not places:
+        raise TargetNotFoundError(_no_place(lattice, board))
+    ij = lattice.ij
+    away = {}
+    for i, j in places:
+        miss = lattice.points_px - expected_px[board.index(ij[:, 0] + i, ij[:, 1] + j)]
+        away[i, j] = float(np.median(np.hypot(miss[:, 0], miss[:, 1])))
+    places.sort(key=away.__getitem__)
+    bordered = _at_borders(lattice, board, places, width_px, height_px)
+    candidates = [places[0], *bordered[:1]]
+    # Places lie a diagonal step apart or more; the prediction must be much nearer to one.
+    if len(places) > 1 and len(bordered) != 1 and away[places[0]] > 0.5 * away[places[1]]:
+        candidates.append(places[1])
+    unique = list(dict.fromkeys(candidates))
+    return tuple(_named(lattice, board, place, certain=len(unique) == 1) for place in unique)
+
+
+def _named(
+    lattice: Lattice, board: Board, place: tuple[int, int], *, certain: bool
+) -> NamedLattice:
+    ij = lattice.ij + place
+    index = board.index(ij[:, 0], ij[:, 1])
+    return NamedLattice(index, lattice.points_px, _steps(lattice), certain)
+
+
+def _no_place(lattice: Lattice, board: Board) -> str:
+    size = lattice.ij.max(axis=0) + 1
+    return (
+        f"no checkerboard: found {size[0]}x{size[1]} corners in the image, the board has "
+        f"{board.columns}x{board.rows}"
+    )
+
+
+def _turned(lattice: Lattice, quarter: int) -> Lattice:
+    ij, polarity = lattice.ij, lattice.polarity
+    for _ in range(quarter):
+        ij = np.stack([ij[:, 1], -ij[:, 0]], axis=1)
+        polarity = -polarity  # the sector up and left is now one of the other colour
+    return replace(lattice, ij=ij - ij.min(axis=0), polarity=polarity)
+
+
+def _places(lattice: Lattice, board: Board) -> list[tuple[int, int]]:
+    """Shifts (i, j) at which the lattice lies on the board with its parity right."""
+    room = np.array([board.columns, board.rows]) - lattice.ij.max(axis=0) - 1
+    even = (lattice.ij.sum(axis=1) % 2 == 0) == (lattice.polarity > 0)
+    odd_shift = int(even.mean() < 0.5)
+    return [
+        (i, j) for i in range(room[0] + 1) for j in range(room[1] + 1) if (i + j) % 2 == odd_shift
+    ]
+
+
+def _at_borders(
+    lattice: Lattice,
+    board: Board,
+    places: list[tuple[int, int]],
+    width_px: int,
+    height_px: int,
+) -> list[tuple[int, int]]:
+    """Keep the places that agree with the borders seen.
+
+    Two borders nearer to each other than the board is long say nothing: one is a cover's edge.
+    """
+    room = np.array([board.columns, board.rows]) - lattice.ij.max(axis=0) - 1
+    borders = _borders(lattice, width_px, height_px)
+    fitting = places
+    for axis in range(2):
+        at_start, at_end = borders[axis]
+        if at_start and at_end and room[axis] > 0:
+            continue  # one of the two is a cover's edge
+        if at_start:
+            fitting = [place for place in fitting if place[axis] == 0]
+        if at_end:
+            fitting = [place for place in fitting if place[axis] == room[axis]]
+    return fitting
+
+
+def grid_of(lattice: Lattice) -> FloatArray:
+    """Points on their lattice, (j, i, 2), NaN where there is none, with a margin of one."""
+    size = lattice.ij.max(axis=0) + 3
+    grid = np.full((size[1], size[0], 2), np.nan)
+    grid[lattice.ij[:, 1] + 1, lattice.ij[:, 0] + 1] = lattice.points_px
+    return grid
+
+
+def _borders(lattice: Lattice, width_px: int, height_px: int) -> BoolArray:
+    """(2, 2): whether the board itself ends at the start and the end of each axis.
+
+    It does if most next corners, extrapolated, would lie well inside the image.
+    """
+    grid = grid_of(lattice)
+    answer = np.zeros((2, 2), dtype=bool)
+    for axis in range(2):
+        lines = grid if axis == 1 else grid.transpose(1, 0, 2)
+        for end in range(2):
+            last, before = (lines[1], lines[2]) if end == 0 else (lines[-2], lines[-3])
+            beyond = 2.0 * last - before
+            beyond = beyond[np.isfinite(beyond).all(axis=1)]
+            if len(beyond) < 3:
+                continue
+            margin = lattice.blind_px
+            inside = (
+                (beyond > margin).all(axis=1)
+                & (beyond[:, 0] < width_px - 1 - margin)
+                & (beyond[:, 1] < height_px - 1 - margin)
+            )
+            answer[axis, end] = inside.mean() > 0.5
+    return answer
+
+
+def _steps(lattice: Lattice) -> FloatArray:
+    """d(px)/d(square) at each corner from its neighbours, central where both are there."""
+    grid = grid_of(lattice)
+    steps = np.empty((len(lattice.ij), 2, 2))
+    j, i = lattice.ij[:, 1] + 1, lattice.ij[:, 0] + 1
+    for axis, (dj, di) in enumerate(((0, 1), (1, 0))):
+        after, before, here = grid[j + dj, i + di], grid[j - dj, i - di], grid[j, i]
+        central = 0.5 * (after - before)
+        one_sided = np.where(np.isfinite(after), after - here, here - before)
+        steps[:, :, axis] = np.where(np.isfinite(central), central, one_sided)
+    lonely = ~np.isfinite(steps).all(axis=(1, 2))
+    if lonely.any():
+        known = np.nonzero(~lonely)[0]
+        _, nearest = cKDTree(lattice.points_px[known]).query(lattice.points_px[lonely])
+        steps[lonely] = steps[known[nearest]]
+    return steps

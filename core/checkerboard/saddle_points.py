@@ -1,0 +1,124 @@
+"""Candidates for checkerboard corners: saddle points of the grey values, checked on a ring."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray, IntArray
+
+RING_SAMPLES = 48
+_SMOOTHING_PX = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class Saddles:
+    """Points where four alternating sectors meet."""
+
+    points_px: FloatArray
+    """(n, 2)."""
+    directions_rad: FloatArray
+    """(n, 2) angles of the two edges in [0, pi); the second lies clockwise (x right, y down)."""
+    polarity: FloatArray
+    """(n,) +1 where the sector from the first edge on to the second is bright, else -1."""
+
+
+def find_saddles(image: FloatArray, ring_px: float = 5.0) -> Saddles:
+    """Find saddle points of a greyscale image (h, w).
+
+    The determinant of the Hessian is negative at a saddle; a ring about the point must cross
+    its mean grey value four times and look the same turned by half.
+    """
+    blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTHING_PX)
+    smooth = np.asarray(blurred, dtype=np.float32)
+    strength = _negative_hessian_determinant(smooth)
+    peaks = _peaks(strength, margin=int(ring_px) + 2)
+    points = _refine_peaks(strength, peaks)
+    return _check_rings(smooth, points, ring_px)
+
+
+def _negative_hessian_determinant(smooth: FloatArray) -> FloatArray:
+    xx = cv2.Sobel(smooth, cv2.CV_32F, 2, 0, ksize=3, scale=0.25)
+    yy = cv2.Sobel(smooth, cv2.CV_32F, 0, 2, ksize=3, scale=0.25)
+    xy = cv2.Sobel(smooth, cv2.CV_32F, 1, 1, ksize=3, scale=0.25)
+    return np.asarray(xy * xy - xx * yy)
+
+
+def _peaks(strength: FloatArray, margin: int) -> IntArray:
+    """(n, 2) integer pixels of local maxima above a threshold that follows the local light."""
+    is_peak = strength == cv2.dilate(strength, np.ones((7, 7), np.uint8))
+    local = cv2.dilate(
+        cv2.resize(strength, None, fx=0.125, fy=0.125, interpolation=cv2.INTER_AREA),
+        np.ones((25, 25), np.uint8),
+    )
+    local = cv2.resize(local, (strength.shape[1], strength.shape[0]))
+    is_peak &= (strength > 0.15 * local) & (strength > 0.05)
+    is_peak[:margin] = is_peak[-margin:] = False
+    is_peak[:, :margin] = is_peak[:, -margin:] = False
+    v, u = np.nonzero(is_peak)
+    if len(u) > 20000:
+        strongest = np.argsort(strength[v, u])[-20000:]
+        u, v = u[strongest], v[strongest]
+    return np.stack([u, v], axis=1)
+
+
+def _refine_peaks(strength: FloatArray, peaks: IntArray) -> FloatArray:
+    """Refine by the parabola through the neighbours, at most half a pixel."""
+    u, v = peaks[:, 0], peaks[:, 1]
+    centre = strength[v, u]
+    steps = []
+    for before, after in (
+        (strength[v, u - 1], strength[v, u + 1]),
+        (strength[v - 1, u], strength[v + 1, u]),
+    ):
+        curvature = np.minimum(before + after - 2.0 * centre, -1e-9)
+        steps.append(np.clip(0.5 * (before - after) / curvature, -0.5, 0.5))
+    return np.asarray(peaks + np.stack(steps, axis=1), dtype=float)
+
+
+def _check_rings(smooth: FloatArray, points: FloatArray, ring_px: float) -> Saddles:
+    angles = np.arange(RING_SAMPLES) * (2.0 * np.pi / RING_SAMPLES)
+    map_x = (points[:, :1] + ring_px * np.cos(angles)).astype(np.float32)
+    map_y = (points[:, 1:] + ring_px * np.sin(angles)).astype(np.float32)
+    ring = _sample(smooth, map_x, map_y)
+    ring = ring - ring.mean(axis=1, keepdims=True)
+    half = RING_SAMPLES // 2
+    power = (ring * ring).sum(axis=1) + 1e-9
+    symmetry = (ring[:, :half] * ring[:, half:]).sum(axis=1) / (0.5 * power)
+    folded = ring[:, :half] + ring[:, half:]  # one period, noise halved
+    crossing = (folded > 0.0) != (np.roll(folded, -1, axis=1) > 0.0)
+    keep = (symmetry > 0.7) & (crossing.sum(axis=1) == 2) & (power > RING_SAMPLES * 4.0)
+    return _edges_of(points[keep], folded[keep], crossing[keep])
+
+
+def _edges_of(points: FloatArray, folded: FloatArray, crossing: BoolArray) -> Saddles:
+    half = RING_SAMPLES // 2
+    if len(points) == 0:
+        return Saddles(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+    first = np.argmax(crossing, axis=1)
+    second = half - 1 - np.argmax(crossing[:, ::-1], axis=1)
+    rows = np.arange(len(points))
+    angles = []
+    for at in (first, second):
+        low, high = folded[rows, at], folded[rows, (at + 1) % half]
+        angles.append((at + low / (low - high)) * (np.pi / half) % np.pi)
+    between = folded[rows, (first + second + 1) // 2]
+    directions = np.stack(angles, axis=1)
+    polarity = np.where(between > 0, 1.0, -1.0)
+    swapped = directions[:, 0] > directions[:, 1]  # the last crossing wrapped past pi
+    directions[swapped] = directions[swapped][:, ::-1]
+    polarity[swapped] *= -1.0
+    opening = directions[:, 1] - directions[:, 0]
+    keep = (opening > np.radians(25.0)) & (opening < np.radians(155.0))
+    return Saddles(points[keep], directions[keep], polarity[keep])
+
+
+def _sample(image: FloatArray, map_x: FloatArray, map_y: FloatArray) -> FloatArray:
+    """Bilinear samples; cv2.remap takes at most 32767 rows, so in slices."""
+    parts = [
+        cv2.remap(image, map_x[at : at + 30000], map_y[at : at + 30000], cv2.INTER_LINEAR)
+        for at in range(0, len(map_x), 30000)
+    ]
+    return np.concatenate(parts) if parts else np.zeros(map_x.shape)

@@ -1,0 +1,1 @@
+"""The main camera's target: discs found, identified and located to sub-pixels."""

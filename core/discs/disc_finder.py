@@ -1,0 +1,130 @@
+"""The main target: discs found in an image, named by their layout, located to sub-pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray
+from core.discs.blobs import FEW_LEVELS, MANY_LEVELS, NO_BLOBS, Blobs, find_blobs
+from core.discs.disc_fit import DiscFits, locate_discs
+from core.discs.layout import MIN_DISCS, SCALE_TOLERANCE, Expectation, Layout, Naming, name_discs
+from core.errors import TargetNotFoundError
+from core.images import GreyImage
+from core.site import CirclesTarget
+
+__all__ = ["MIN_DISCS", "Discs", "find_discs"]
+
+_MAX_ROLL_DEG = 50.0
+_MIN_CLEAN = 0.5
+_MOST_CANDIDATES = 60
+_QUICK_RADIUS_PX, _SEARCH_RADIUS_PX = 9.0, 7.0
+_LARGE_PX = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Discs:
+    """The target's discs in one image."""
+
+    found: BoolArray
+    """(n,), in the order of the target's centres."""
+    points_px: FloatArray
+    """(n, 2), NaN where not found."""
+    covariance_px2: FloatArray
+    """(n, 2, 2), NaN where not found."""
+    clean: FloatArray
+    """(n,) share of each outline's pixels that look like a disc's."""
+    contrast_dn: float
+    blur_px: float
+
+
+def find_discs(
+    image: GreyImage,
+    target: CirclesTarget,
+    expected_px_per_mm: float | None = None,
+    expected_px: FloatArray | None = None,
+) -> Discs:
+    """Find the main target in an image.
+
+    At least three discs are needed. expected_px_per_mm, where known, refuses other sizes (by a
+    factor of two); expected_px (n, 2), NaN where unknown, are the discs' predicted places,
+    which decide between layouts that look alike. The camera is upright to within 50 degrees.
+    The points are the middles of the outlines. Raises TargetNotFoundError.
+    """
+    layout = Layout(target.centres_mm * np.array([1.0, -1.0]), target.diameters_mm / 2.0)
+    expected = Expectation(
+        expected_px_per_mm, expected_px, upright_deg=_MAX_ROLL_DEG, max_roll_deg=_MAX_ROLL_DEG
+    )
+    blobs, naming = _search(image, layout, expected)
+    n = len(target.centres_mm)
+    if naming is None:
+        msg = (
+            f"main target: fewer than {MIN_DISCS} of {n} discs found "
+            f"({len(blobs.points_px)} round bright spots in the image), {MIN_DISCS} are needed"
+        )
+        raise TargetNotFoundError(msg)
+    if not naming.certain:
+        msg = "main target: its discs can be named in more than one way"
+        raise TargetNotFoundError(msg)
+    at, which = naming.spots, naming.discs
+    fits = locate_discs(
+        image.pixels, image.saturation_dn, blobs.points_px[at], blobs.outline_px[at]
+    )
+    good = clear_fits(fits)
+    if good.sum() < MIN_DISCS:
+        msg = f"main target: only {int(good.sum())} of {n} discs are clear enough to measure"
+        raise TargetNotFoundError(msg)
+    found = np.zeros(n, dtype=bool)
+    points, covariance, clean = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan), np.zeros(n)
+    found[which[good]] = True
+    points[which[good]] = fits.points_px[good]
+    covariance[which[good]] = fits.covariance_px2[good]
+    clean[which] = fits.clean
+    return Discs(
+        found,
+        points,
+        covariance,
+        clean,
+        float(np.median(fits.contrast_dn[good])),
+        float(np.median(fits.blur_px[good])),
+    )
+
+
+def clear_fits(fits: DiscFits) -> BoolArray:
+    """Which discs (n,) stand out from the noise and look like discs for most of their outline."""
+    good = fits.usable & (fits.clean > _MIN_CLEAN)
+    return np.asarray(good & (fits.contrast_dn > 4.0 * fits.noise_dn / np.sqrt(10.0)))
+
+
+def _search(image: GreyImage, layout: Layout, expected: Expectation) -> tuple[Blobs, Naming | None]:
+    """Look quickly at the size expected; where a disc is missing, thoroughly."""
+    blobs, naming = NO_BLOBS, None
+    for shrink, levels in _stages(image, layout, expected):
+        seen = _candidates(find_blobs(image.pixels, shrink, levels), layout, expected)
+        named = name_discs(seen, layout, expected) if len(seen.points_px) >= MIN_DISCS else None
+        if naming is None or (named is not None and len(named.discs) > len(naming.discs)):
+            blobs, naming = seen, named
+        if naming is not None and len(naming.discs) == len(layout.radii_mm):
+            break
+    return blobs, naming
+
+
+def _stages(image: GreyImage, layout: Layout, expected: Expectation) -> list[tuple[int, int]]:
+    """By how much to shrink the image, and the number of levels to try."""
+    if expected.px_per_mm is None:
+        return [(2 if max(image.pixels.shape) > _LARGE_PX else 1, MANY_LEVELS)]
+    radius = float(layout.radii_mm.min()) * expected.px_per_mm
+    quick = max(1, int(radius / _QUICK_RADIUS_PX))
+    thorough = max(1, int(radius / SCALE_TOLERANCE / _SEARCH_RADIUS_PX))
+    return [(quick, FEW_LEVELS), (thorough, MANY_LEVELS)]
+
+
+def _candidates(blobs: Blobs, layout: Layout, expected: Expectation) -> Blobs:
+    """Round bright spots of a size that a disc may have; the clearest of them."""
+    if expected.px_per_mm is not None:
+        radii = layout.radii_mm * expected.px_per_mm
+        fits = blobs.radius_px > 0.8 * radii.min() / SCALE_TOLERANCE
+        fits &= blobs.radius_px < 1.25 * radii.max() * SCALE_TOLERANCE
+        blobs = blobs.select(fits)
+    return blobs.clearest(_MOST_CANDIDATES)

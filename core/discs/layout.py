@@ -1,0 +1,290 @@
+"""Discs told apart by their layout, among all round bright spots of an image.
+
+A disc's outline shows how the plate is squeezed there, up to a turn; two of them and the line
+between them give the turn and the shift. Every pair of spots is tried as every pair of discs,
+what these affine maps predict is compared with the other spots, and the best are refined as
+homographies and judged by places, outlines and contrasts together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray, IntArray
+from core.discs.blobs import Blobs
+from core.geometry.homography import fit_homography, perspective, project, slopes
+
+MIN_DISCS = 3
+SCALE_TOLERANCE = 2.0
+_LENGTH_TOLERANCE, _SLOPE_TOLERANCE = 0.25, 0.35
+_BLOB_SIGMA_PX = 0.35  # of a spot's place, and of its radius
+_PLACE_SHARE, _SPACING_SHARE = 0.2, 0.4
+_SLACK, _CONTRAST_RANGE = 1.6, 1.6
+_MOST_PAIRS, _MOST_REFINED = 3000, 60
+_PLACE_SIGMA = 0.01  # of the target's size
+_OUTLINE_SIGMA = 0.07
+_CONTRAST_SIGMA = 0.6
+_PERSPECTIVE_SIGMA = 0.2
+_WORST = 25.0
+_MISSING = 15.0
+_ALIKE = 10.0
+_SAME_SHARE = 0.1
+_TURN_MARGIN_DEG = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Discs on a plate, in the image's sense of rotation: x right, y down."""
+
+    places_mm: FloatArray
+    """(n, 2)."""
+    radii_mm: FloatArray
+    """(n,)."""
+
+    @property
+    def size_mm(self) -> float:
+        """The larger side of the box about all centres."""
+        return float(np.ptp(self.places_mm, axis=0).max())
+
+    @property
+    def farthest_mm(self) -> float:
+        """Between the two centres that are farthest apart."""
+        return float(np.hypot(*(self.places_mm[:, None] - self.places_mm[None]).T).max())
+
+    @property
+    def spacing_mm(self) -> float:
+        """Between the centres of the two discs that are nearest to one another."""
+        away = np.hypot(*(self.places_mm[:, None] - self.places_mm[None]).T)
+        return float(away[~np.eye(len(away), dtype=bool)].min())
+
+
+@dataclass(frozen=True, slots=True)
+class Expectation:
+    """What is known before looking."""
+
+    px_per_mm: float | None = None
+    """Scale, right to a factor of two."""
+    near_px: FloatArray | None = None
+    """(n, 2) about where the discs are, NaN where unknown."""
+    upright_deg: float = 45.0
+    """How far the camera may be rolled where a turned layout looks the same."""
+    max_roll_deg: float = 180.0
+    """How far it may be rolled at all."""
+    min_discs: int = MIN_DISCS
+
+
+@dataclass(frozen=True, slots=True)
+class Naming:
+    """Which spot is which disc."""
+
+    discs: IntArray
+    """(k,) indices of the layout's discs."""
+    spots: IntArray
+    """(k,) indices of the spots."""
+    H: FloatArray
+    """(3, 3) homography from the plate, mm, y down, to px."""
+    cost: float
+    roll_deg: float
+    certain: bool = True
+    """False if another naming explains the image as well, so that this one is a guess."""
+
+
+def name_discs(blobs: Blobs, layout: Layout, expected: Expectation) -> Naming | None:
+    """Give the naming that explains the image best; None if none does."""
+    rivals: list[Naming] = []
+    for spots, slope in _guesses(blobs, layout, expected):
+        if rivals and (spots >= 0).sum() < len(rivals[0].discs) - 1:
+            break
+        naming = _refine(blobs, layout, spots, slope, expected)
+        if naming is not None:
+            rivals.append(naming)
+    return _choose(rivals, layout, expected) if rivals else None
+
+
+def _guesses(
+    blobs: Blobs, layout: Layout, expected: Expectation
+) -> list[tuple[IntArray, FloatArray]]:
+    """Spots (n,) of all discs, -1 for none, with a slope (2, 2) px/mm; the most complete first."""
+    anchor, place, slope = _pairs(blobs, layout, expected)
+    back = np.linalg.inv(slope)
+    spots_mm = np.einsum("hab,hmb->hma", back, blobs.points_px[None] - anchor[:, None])
+    places = layout.places_mm[None] - place[:, None]
+    miss = np.hypot(*np.moveaxis(spots_mm[:, None] - places[:, :, None], -1, 0))
+    scale = np.sqrt(np.abs(np.linalg.det(slope)))
+    area = np.sqrt(np.abs(np.linalg.det(blobs.outline_px)))
+    size = np.log(area[None, None] / (scale[:, None, None] * layout.radii_mm[None, :, None]))
+    miss = np.where(np.abs(size) < 2.0 * _SLOPE_TOLERANCE, miss, np.inf)
+    nearest = np.argmin(miss, axis=2)
+    away = np.take_along_axis(miss, nearest[..., None], axis=2)[..., 0]
+    hit = away < min(_PLACE_SHARE * layout.size_mm, _SPACING_SHARE * layout.spacing_mm)
+    quality = hit.sum(axis=1) - np.where(hit, away, 0.0).sum(axis=1) / (10.0 * layout.size_mm)
+    order = np.argsort(-quality, kind="stable")
+    assigned = np.where(hit, nearest, -1)[order]
+    _, first = np.unique(assigned, axis=0, return_index=True)
+    chosen = np.sort(first)[:_MOST_REFINED]
+    few = (assigned >= 0).sum(axis=1) < expected.min_discs
+    return [(assigned[k], slope[order[k]]) for k in chosen if not few[k]]
+
+
+def _pairs(
+    blobs: Blobs, layout: Layout, expected: Expectation
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points (h, 2), places (h, 2), slopes (h, 2, 2) of maps by two spots taken for two discs."""
+    a, b = np.nonzero(_may_be_neighbours(blobs, layout))
+    i, j = np.triu_indices(len(layout.radii_mm), 1)
+    line = blobs.points_px[b] - blobs.points_px[a]
+    blunt = 2.0 * _BLOB_SIGMA_PX / np.minimum(blobs.radius_px[a], blobs.radius_px[b])[:, None]
+    radii = layout.radii_mm
+    here = _elements(blobs.outline_px[a])[:, :, None] / radii[i]
+    there = _elements(blobs.outline_px[b])[:, :, None] / radii[j]
+    xx, xy, yy = squeeze = 0.5 * (here + there)
+    det = xx * yy - xy * xy
+    u, v = line[:, 0, None], line[:, 1, None]
+    flat = (yy * u - xy * v + 1j * (xx * v - xy * u)) / det
+    apart = layout.places_mm[j] - layout.places_mm[i]
+    turn = flat / (apart[:, 0] + 1j * apart[:, 1])
+    off, angle = np.abs(np.log(np.abs(turn))), np.angle(turn)
+    difference = np.abs(there - here).max(axis=0) / np.abs(squeeze).max(axis=0)
+    fits = (off < _LENGTH_TOLERANCE + blunt) & (difference < _SLOPE_TOLERANCE + blunt)
+    fits &= np.abs(angle) < np.radians(expected.max_roll_deg + _TURN_MARGIN_DEG)
+    if expected.px_per_mm is not None:
+        scale = 0.5 * np.log(det / expected.px_per_mm**2)
+        fits &= np.abs(scale) < np.log(SCALE_TOLERANCE)
+    pair, discs = np.nonzero(fits)
+    best = np.argsort(off[pair, discs], kind="stable")[:_MOST_PAIRS]
+    pair, discs = pair[best], discs[best]
+    c, s = np.cos(angle[pair, discs]), np.sin(angle[pair, discs])
+    xx, xy, yy = squeeze[:, pair, discs]
+    slope = np.stack([xx * c + xy * s, xy * c - xx * s, xy * c + yy * s, yy * c - xy * s], axis=1)
+    middle = blobs.points_px[a[pair]] + 0.5 * line[pair]
+    place = layout.places_mm[i[discs]] + 0.5 * apart[discs]
+    return middle, place, slope.reshape(-1, 2, 2)
+
+
+def _elements(outline: FloatArray) -> FloatArray:
+    """The three different elements (3, m) of symmetric matrices (m, 2, 2)."""
+    return np.asarray(np.stack([outline[:, 0, 0], outline[:, 0, 1], outline[:, 1, 1]]))
+
+
+def _may_be_neighbours(blobs: Blobs, layout: Layout) -> BoolArray:
+    """Whether two spots (m, m) are about as far apart, as large and as bright as two discs."""
+    radius = blobs.radius_px
+    line = blobs.points_px[:, None] - blobs.points_px[None]
+    # How far the other is in units of the one's outline, which squeeze and scale leave as it is.
+    flat = np.einsum("iab,ijb->ija", np.linalg.inv(blobs.outline_px), line)
+    away = np.hypot(flat[..., 0], flat[..., 1])
+    near = away < _SLACK * layout.farthest_mm / layout.radii_mm.min()
+    near &= away > layout.spacing_mm / layout.radii_mm.max() / _SLACK
+    spread = layout.radii_mm.max() / layout.radii_mm.min() * _SLACK
+    alike = np.abs(np.log(radius[:, None] / radius)) < np.log(spread)
+    bright = np.abs(np.log(blobs.contrast_dn[:, None] / blobs.contrast_dn)) < _CONTRAST_RANGE
+    return np.asarray(near & alike & bright & ~np.eye(len(radius), dtype=bool))
+
+
+def _refine(
+    blobs: Blobs, layout: Layout, spots: IntArray, slope: FloatArray, expected: Expectation
+) -> Naming | None:
+    """Fit a homography to a guess, look again for all discs, and judge the outcome."""
+    for _ in range(2):
+        discs = np.flatnonzero(spots >= 0)
+        if len(discs) < expected.min_discs:
+            return None
+        places, points = layout.places_mm[discs], blobs.points_px[spots[discs]]
+        sigma = _place_sigma_px(layout, slope)
+        H = fit_homography(places, points, sigma, slope)
+        if perspective(H, layout.places_mm) > 1.0:
+            return None
+        spots, costs = _look_again(blobs, layout, H)
+    discs = np.flatnonzero(spots >= 0)
+    if len(discs) < expected.min_discs:
+        return None
+    chosen = spots[discs]
+    contrast = np.log(blobs.contrast_dn[chosen])
+    contrast = (contrast - np.median(contrast)) / _CONTRAST_SIGMA
+    cost = float(costs[discs].sum() + contrast @ contrast)
+    cost += (perspective(H, layout.places_mm) / _PERSPECTIVE_SIGMA) ** 2
+    cost += _MISSING * (len(spots) - len(discs))
+    at_middle = slopes(H, layout.places_mm.mean(axis=0, keepdims=True))[0]
+    roll = np.arctan2(at_middle[1, 0] - at_middle[0, 1], at_middle[0, 0] + at_middle[1, 1])
+    if abs(np.degrees(roll)) > expected.max_roll_deg:
+        return None
+    return Naming(discs, chosen, H, cost, float(np.degrees(roll)))
+
+
+def _place_sigma_px(layout: Layout, slope: FloatArray) -> float:
+    extent = layout.size_mm * np.sqrt(abs(float(np.linalg.det(slope))))
+    return float(np.hypot(_PLACE_SIGMA * extent, _BLOB_SIGMA_PX))
+
+
+def _look_again(blobs: Blobs, layout: Layout, H: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Spots (n,) at the places that a homography predicts, -1 for none, and their costs."""
+    places = project(H, layout.places_mm)
+    slope = slopes(H, layout.places_mm)
+    sigma = _place_sigma_px(layout, slopes(H, layout.places_mm.mean(axis=0, keepdims=True))[0])
+    miss = np.hypot(*np.moveaxis(places[:, None] - blobs.points_px[None], -1, 0))
+    cost = (miss / sigma) ** 2
+    expected = slope * layout.radii_mm[:, None, None]
+    ratio = np.linalg.inv(blobs.outline_px)[None] @ expected[:, None]
+    # The singular values s of the ratio are 1 if the outline is as expected.
+    square = (ratio**2).sum(axis=(2, 3))
+    det = np.maximum(np.linalg.det(ratio), 1e-9)
+    root = np.sqrt(np.maximum(square**2 - 4.0 * det**2, 0.0))
+    larger = np.sqrt(0.5 * (square + root))
+    blunt = np.hypot(_OUTLINE_SIGMA, _BLOB_SIGMA_PX / blobs.radius_px)
+    cost += (np.log(larger) ** 2 + np.log(det / larger) ** 2) / blunt**2
+    spots = np.argmin(cost, axis=1)
+    costs = cost[np.arange(len(spots)), spots]
+    return np.where(costs < _WORST, spots, -1), costs
+
+
+def _choose(rivals: list[Naming], layout: Layout, expected: Expectation) -> Naming:
+    """The cheapest; where others are as good, by what is expected; else it is a guess."""
+    best = min(rivals, key=lambda naming: naming.cost)
+    alike = [best]
+    for naming in sorted(rivals, key=lambda naming: naming.cost):
+        if naming.cost < best.cost + _ALIKE and all(_contradict(naming, one) for one in alike):
+            alike.append(naming)
+    if len(alike) == 1:
+        return best
+    if expected.near_px is not None:
+        away = [_distance(naming, layout, expected.near_px) for naming in alike]
+        order = np.argsort(away)
+        chosen, next_away = alike[order[0]], away[order[1]]
+        return _with_certainty(chosen, certain=away[order[0]] < 0.6 * next_away)
+    alike.sort(key=lambda naming: abs(naming.roll_deg))
+    first, second = abs(alike[0].roll_deg), abs(alike[1].roll_deg)
+    upright = first <= expected.upright_deg < second and second - first > _TURN_MARGIN_DEG
+    turned = all(_looks_the_same(alike[0], other, layout) for other in alike[1:])
+    return _with_certainty(alike[0], certain=upright and turned)
+
+
+def _looks_the_same(one: Naming, other: Naming, layout: Layout) -> bool:
+    """Whether the whole layout, named the one way and the other, is at the same places."""
+    moved = project(np.linalg.inv(other.H) @ one.H, layout.places_mm)
+    away = np.hypot(*np.moveaxis(moved[:, None] - layout.places_mm[None], -1, 0))
+    radii = layout.radii_mm[np.argmin(away, axis=1)] / layout.radii_mm
+    same = away.min(axis=1) < _SAME_SHARE * layout.size_mm
+    return bool(same.all() and (np.abs(np.log(radii)) < _OUTLINE_SIGMA).all())
+
+
+def _with_certainty(naming: Naming, *, certain: bool) -> Naming:
+    return Naming(naming.discs, naming.spots, naming.H, naming.cost, naming.roll_deg, certain)
+
+
+def _contradict(one: Naming, other: Naming) -> bool:
+    """Whether a spot has different names, or none is shared."""
+    names = dict(zip(one.spots.tolist(), one.discs.tolist(), strict=True))
+    shared = [
+        (names[spot], disc)
+        for spot, disc in zip(other.spots.tolist(), other.discs.tolist(), strict=True)
+        if spot in names
+    ]
+    return not shared or any(a != b for a, b in shared)
+
+
+def _distance(naming: Naming, layout: Layout, near_px: FloatArray) -> float:
+    """How far, px, the discs are on average from where they were expected."""
+    away = np.hypot(*(project(naming.H, layout.places_mm) - near_px).T)
+    return float(np.nanmean(away))

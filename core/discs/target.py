@@ -1,0 +1,242 @@
+"""A plate of white discs found in any image, by its layout alone: for use without the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray, IntArray
+from core.discs.blobs import MANY_LEVELS, Blobs, find_blobs
+from core.discs.disc_finder import clear_fits
+from core.discs.disc_fit import DiscFits, locate_discs
+from core.discs.layout import MIN_DISCS, Expectation, Layout, Naming, name_discs
+from core.errors import ImageError, TargetNotFoundError
+from core.geometry.homography import circle_outlines, outline_offset, refine_on_circles
+from core.images import GreyImage, PixelArray
+
+_MOST_CANDIDATES = 150
+_SEARCH_SIZE_PX = 1000
+_POINT_SIGMA_PX = 0.05
+_PLACE_SHARE, _PLACE_PX = 0.01, 0.5
+_OUTLINE_SHARE, _OUTLINE_PX = 0.12, 0.5
+_OTHER_SIZE = 1.3
+_ROUNDS = 3
+_MOST_CHANGE = 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class FoundTarget:
+    """A plate's discs in one image; the k-th is that of the k-th centre given."""
+
+    found: BoolArray
+    """(n,)."""
+    points_px: FloatArray
+    """(n, 2) images of the discs' centres, NaN where not found."""
+    covariance_px2: FloatArray
+    """(n, 2, 2) from the image's noise, NaN where not found."""
+    clean: FloatArray
+    """(n,) share of each outline's pixels that look like a disc's; 0 where not found."""
+    H: FloatArray
+    """(3, 3) homography: `[u v 1]' ~ H [x y 1]'`, x and y as the centres, mm."""
+    roll_deg: float
+    """How far the plate is turned clockwise in the image."""
+    contrast_dn: float
+    blur_px: float
+
+
+def find_target(
+    image: GreyImage | PixelArray,
+    centres_mm: FloatArray,
+    diameter_mm: float | FloatArray,
+    *,
+    scale_px_per_mm: float | None = None,
+    near: FloatArray | None = None,
+    max_roll_deg: float = 180.0,
+) -> FoundTarget:
+    """Find white discs on a black plate in a greyscale image, whatever else it shows.
+
+    image: (h, w) uint8 or uint16, or a GreyImage, which says how many bits are used. centres_mm
+    (n, 2), n at least 3: x right, y up; diameter_mm: one for all discs or one each. The scale,
+    the turn and the tilt (to some 60 degrees) need not be known. scale_px_per_mm, if given, is
+    right to a factor of two; max_roll_deg is how far the plate may be turned in the image, either
+    way.
+
+    A layout that looks the same when turned (an X of equal discs) is taken to be upright to
+    within 45 degrees, unless near (n, 2), px, says where the discs were in an image before, NaN
+    where unknown. Four discs must be seen, of a layout of three or with scale or near three.
+
+    The points are the images of the discs' centres: under perspective the middle of an ellipse
+    is not, and the difference is taken off (as far as four discs or more tell it).
+
+    Raises TargetNotFoundError if the plate is not seen or its discs cannot be told apart for
+    certain, ImageError if the array is no greyscale image, ValueError for a layout that is none.
+    """
+    grey = _as_grey(image)
+    layout = _as_layout(centres_mm, diameter_mm)
+    known = scale_px_per_mm is not None or near is not None
+    least = MIN_DISCS if known else min(len(layout.radii_mm), MIN_DISCS + 1)
+    expected = Expectation(scale_px_per_mm, near, max_roll_deg=max_roll_deg, min_discs=least)
+    blobs, naming = _search(grey, layout, expected)
+    fits, which, H = _locate(grey, layout, blobs, naming)
+    if len(which) < least:
+        msg = f"main target: only {len(which)} of {len(layout.radii_mm)} discs are clear enough"
+        raise TargetNotFoundError(msg)
+    return _as_found(fits, which, H, layout, naming)
+
+
+def _as_grey(image: GreyImage | PixelArray) -> GreyImage:
+    grey = image if isinstance(image, GreyImage) else GreyImage(image, 8 * image.itemsize)
+    if grey.pixels.ndim != 2 or grey.pixels.dtype not in {np.dtype("u1"), np.dtype("u2")}:
+        msg = (
+            f"image: greyscale uint8 or uint16 (h, w) is needed, this is {grey.pixels.dtype} of "
+            f"shape {grey.pixels.shape}; convert it first"
+        )
+        raise ImageError(msg)
+    return grey
+
+
+def _as_layout(centres_mm: FloatArray, diameter_mm: float | FloatArray) -> Layout:
+    centres = np.asarray(centres_mm, dtype=float)
+    if centres.ndim != 2 or centres.shape[1] != 2 or len(centres) < MIN_DISCS:
+        msg = f"centres_mm: at least {MIN_DISCS} rows of x, y are needed, not {centres.shape}"
+        raise ValueError(msg)
+    diameters = np.asarray(diameter_mm, dtype=float)
+    if diameters.shape not in {(), (1,), (len(centres),)} or not (diameters > 0).all():
+        msg = f"diameter_mm: one positive value, or one for each of {len(centres)} discs"
+        raise ValueError(msg)
+    layout = Layout(centres * np.array([1.0, -1.0]), np.ones(len(centres)) * diameters / 2.0)
+    if layout.spacing_mm <= 2.0 * layout.radii_mm.min():
+        msg = "centres_mm: discs overlap; are centres and diameters in the same unit?"
+        raise ValueError(msg)
+    return layout
+
+
+def _search(grey: GreyImage, layout: Layout, expected: Expectation) -> tuple[Blobs, Naming]:
+    """Look ever more thoroughly until all discs are named for certain."""
+    best: tuple[Blobs, Naming] | None = None
+    spots = 0
+    for blobs in _looks(grey):
+        spots = max(spots, len(blobs.points_px))
+        naming = name_discs(blobs, layout, expected) if len(blobs.points_px) >= MIN_DISCS else None
+        if naming is None:
+            continue
+        if best is None or naming.cost < best[1].cost:
+            best = blobs, naming
+        if len(naming.discs) == len(layout.radii_mm) and naming.certain:
+            break
+    if best is None:
+        msg = (
+            f"main target: no {expected.min_discs} of {len(layout.radii_mm)} discs found as they "
+            f"are laid out ({spots} round bright spots in the image)"
+        )
+        raise TargetNotFoundError(msg)
+    if not best[1].certain:
+        msg = (
+            "main target: its discs can be named in more than one way; "
+            "say where they are about (near)"
+        )
+        raise TargetNotFoundError(msg)
+    return best
+
+
+def _looks(grey: GreyImage) -> Iterator[Blobs]:
+    """Bright spots, sought in more and more ways."""
+    shrink = -(-max(grey.pixels.shape) // _SEARCH_SIZE_PX)
+    while True:
+        for local in (False, True):
+            blobs = find_blobs(grey.pixels, shrink, MANY_LEVELS, local=local)
+            blobs = blobs.clearest(_MOST_CANDIDATES)
+            yield blobs
+            yield _fitted(grey, blobs)
+        if shrink == 1:
+            return
+        shrink //= 2
+
+
+def _fitted(grey: GreyImage, blobs: Blobs) -> Blobs:
+    """The same spots with the outlines that a fit gives where there is one."""
+    fits = locate_discs(grey.pixels, grey.saturation_dn, blobs.points_px, blobs.outline_px)
+    moved = np.hypot(*(fits.points_px - blobs.points_px).T) / blobs.radius_px
+    change = np.abs(fits.outline_px - blobs.outline_px).max(axis=(1, 2)) / blobs.radius_px
+    ok = clear_fits(fits) & (moved < _MOST_CHANGE) & (change < _MOST_CHANGE)
+    return Blobs(
+        np.where(ok[:, None], fits.points_px, blobs.points_px),
+        np.where(ok[:, None, None], fits.outline_px, blobs.outline_px),
+        blobs.contrast_dn,
+        blobs.evenness,
+    )
+
+
+def _locate(
+    grey: GreyImage, layout: Layout, blobs: Blobs, naming: Naming
+) -> tuple[DiscFits, IntArray, FloatArray]:
+    """Fit all discs, where they were seen or should be; keep those that are where they should."""
+    H = naming.H
+    points, outline = circle_outlines(H, layout.places_mm, layout.radii_mm)
+    points[naming.discs] = blobs.points_px[naming.spots]
+    outline[naming.discs] = blobs.outline_px[naming.spots]
+    fits = locate_discs(grey.pixels, grey.saturation_dn, points, outline)
+    good = clear_fits(fits)
+    radii = _radii_seen(H, layout, fits, good)
+    for _ in range(_ROUNDS):
+        which = np.flatnonzero(good)
+        if len(which) < MIN_DISCS:
+            break
+        H = refine_on_circles(
+            H,
+            layout.places_mm[which],
+            radii[which],
+            fits.points_px[which],
+            fits.outline_px[which],
+            _POINT_SIGMA_PX,
+        )
+        middles, outline = circle_outlines(H, layout.places_mm, radii)
+        miss = np.hypot(*(fits.points_px - middles).T)
+        extent = float(np.ptp(fits.points_px[which], axis=0).max())
+        fits_plate = miss < _PLACE_SHARE * extent + _PLACE_PX
+        good = good & fits_plate & _as_wide(outline, fits)
+    return fits, np.flatnonzero(good), H
+
+
+def _radii_seen(H: FloatArray, layout: Layout, fits: DiscFits, good: BoolArray) -> FloatArray:
+    """Radii (n,) of the discs, mm, as they are seen where three or more of a size agree on it.
+
+    Overexposed discs grow, the paper around them shrinks, and the wrong diameter may be stated.
+    """
+    _, outline = circle_outlines(H, layout.places_mm, layout.radii_mm)
+    ratio = np.trace(fits.outline_px, axis1=1, axis2=2) / np.trace(outline, axis1=1, axis2=2)
+    radii = layout.radii_mm.copy()
+    for radius in np.unique(layout.radii_mm):
+        alike = layout.radii_mm == radius
+        if (alike & good).sum() >= MIN_DISCS:
+            seen = float(np.median(ratio[alike & good]))
+            radii[alike] *= np.clip(seen, 1.0 / _OTHER_SIZE, _OTHER_SIZE)
+    return radii
+
+
+def _as_wide(outline: FloatArray, fits: DiscFits) -> BoolArray:
+    """Whether the outlines seen are as wide as they should be, as far as their blur tells."""
+    radius = np.trace(outline, axis1=1, axis2=2) / 2.0
+    difference = np.abs(np.linalg.eigvalsh(fits.outline_px - outline)).max(axis=1)
+    return np.asarray(difference < _OUTLINE_SHARE * radius + _OUTLINE_PX + fits.blur_px)
+
+
+def _as_found(
+    fits: DiscFits, which: IntArray, H: FloatArray, layout: Layout, naming: Naming
+) -> FoundTarget:
+    n = len(layout.radii_mm)
+    found = np.zeros(n, dtype=bool)
+    found[which] = True
+    offset = outline_offset(H, layout.places_mm, layout.radii_mm)
+    return FoundTarget(
+        found,
+        np.where(found[:, None], fits.points_px - offset, np.nan),
+        np.where(found[:, None, None], fits.covariance_px2, np.nan),
+        np.where(found, fits.clean, 0.0),
+        H @ np.diag([1.0, -1.0, 1.0]),
+        naming.roll_deg,
+        float(np.median(fits.contrast_dn[which])),
+        float(np.median(fits.blur_px[which])),
+    )

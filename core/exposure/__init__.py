@@ -1,0 +1,1 @@
+"""How bright a target is, and how to expose the next slot."""

@@ -1,0 +1,1 @@
+"""Poses, lens models and homographies."""

@@ -1,0 +1,1 @@
+"""The sub-camera's lens from views of a board."""

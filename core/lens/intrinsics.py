@@ -1,0 +1,189 @@
+"""The sub-camera's lens from views of the board (Eq. 10; Zhang's planar method)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.adjustment.bundle_adjustment import Adjusted, AdjustmentPriors, adjust
+from core.arrays import FloatArray
+from core.checkerboard.board import Board
+from core.checkerboard.corners import LocatedBoard, detect_board, refine_board
+from core.checkerboard.resection import BoardView, resect
+from core.errors import CalibrationError, TargetNotFoundError
+from core.geometry.lens import Lens
+from core.images import GreyImage
+from core.lens.lens_choice import LensChoice, choose_lens
+from core.lens.lens_fit import wide_prior
+from core.lens.lens_start import ImageSize, start_lens
+from core.lens_model import LensModel
+from core.site import CameraGeometry
+
+_ALL_BUT_FEW, _STRAY_PX = 0.9, 0.5
+_SQUARE = 1e-3
+"""Sensors' pixels are square to better than this, 1 sigma."""
+
+
+def lens_prior(
+    camera: CameraGeometry, *, skew: bool = False, model: LensModel = LensModel.BROWN
+) -> FloatArray:
+    """(lens parameters,) 1-sigma about their start, wide for all but the skew."""
+    focal, centre = 0.05 * camera.focal_px, 0.05 * camera.width_px
+    sigmas = wide_prior(Lens.ideal(model, camera.focal_px, camera.centre_px), skew=skew)
+    sigmas[[0, 1, 3, 4]] = focal, focal, centre, centre
+    return sigmas
+
+
+def nominal_lens(camera: CameraGeometry) -> Lens:
+    """Give the lens as drawn: no distortion, the principal point in the middle."""
+    return Lens.ideal(LensModel.BROWN, camera.focal_px, camera.centre_px)
+
+
+@dataclass(frozen=True, slots=True)
+class LensCalibration:
+    """A lens calibrated from views of a board."""
+
+    lens: Lens
+    adjusted: Adjusted
+    used: tuple[int, ...]
+    """Which of the views were used, in the order of `adjusted.poses`."""
+    rejected: tuple[tuple[int, str], ...]
+    """Which were not, and why."""
+    choice: LensChoice
+    """How the distortion's model was chosen."""
+
+
+def calibrate_lens(
+    images: Sequence[GreyImage],
+    board: Board,
+    camera: CameraGeometry | None = None,
+    *,
+    model: LensModel | None = None,
+    skew: bool = False,
+) -> LensCalibration:
+    """Calibrate a lens from images of a board, the board's own shape estimated with it.
+
+    Nothing need be known of the lens; it may be a fisheye. Without a model the one that foretells
+    held-out views best is taken (core.lens.lens_choice). Views without the board, or that do not
+    fit the others, are rejected with their reason. Raises CalibrationError.
+    """
+    found: list[tuple[int, BoardView]] = []
+    rejected: list[tuple[int, str]] = []
+    for k, image in enumerate(images):
+        try:
+            found.append((k, detect_board(image, board).view))
+        except TargetNotFoundError as error:
+            rejected.append((k, str(error)))
+    if not found:
+        msg = f"lens: none of {len(images)} images shows the board; {dict(rejected)}"
+        raise CalibrationError(msg)
+    height, width = images[found[0][0]].pixels.shape
+    focal_px = None if camera is None else camera.focal_px
+    start = start_lens([view for _, view in found], board, (width, height), focal_px, model)
+    misfits = dict(start.rejected)
+    used, views = [], []
+    for v, (k, view) in enumerate(found):
+        try:
+            located = _located_again(images[k], start.lens, board, view)
+            if v in misfits:
+                _require_fit(located, start.lens, board)
+        except TargetNotFoundError as error:
+            rejected.append((k, misfits.get(v, str(error))))
+            continue
+        used.append(k)
+        views.append(located.view)
+    adjusted, choice = _adjusted(views, board, start.lens, model, skew=skew)
+    return LensCalibration(adjusted.lens, adjusted, tuple(used), tuple(sorted(rejected)), choice)
+
+
+def _located_again(image: GreyImage, lens: Lens, board: Board, view: BoardView) -> LocatedBoard:
+    """Locate all corners with the lens known, from those that were found without it."""
+    pose = resect(lens, board.corners_mm, view).pose
+    return refine_board(image, lens, pose, board, board.corners_mm)
+
+
+def _require_fit(located: LocatedBoard, lens: Lens, board: Board) -> None:
+    """Let a view in after all if a stray among the corners first found was all that did not fit.
+
+    Raises TargetNotFoundError.
+    """
+    off_px = resect(lens, board.corners_mm, located.view).plain_rms_px
+    if len(located.view.index) < _ALL_BUT_FEW * located.visible or off_px > _STRAY_PX:
+        msg = f"{len(located.view.index)} of {located.visible} corners, off by {off_px:.2f} px rms"
+        raise TargetNotFoundError(msg)
+
+
+def calibrate_lens_from_corners(
+    corners_px: Sequence[FloatArray | None],
+    board: Board,
+    size: ImageSize,
+    *,
+    sigma_px: float = 0.05,
+    model: LensModel | None = None,
+    skew: bool = False,
+) -> LensCalibration:
+    """Calibrate a lens from corners found by any other program, e.g. OpenCV's finder.
+
+    corners_px holds one array a view, (rows * columns, 2) or (rows * columns, 1, 2), row by row
+    as in `Board`; NaN where a corner was not found, None for a view without any. size is the
+    image's width and height, px. Views whose corners are not the board's (a row shifted,
+    mirrored, on other things) are rejected with their reason. Raises CalibrationError.
+    """
+    views = [_given(corners, k, board, sigma_px) for k, corners in enumerate(corners_px)]
+    start = start_lens(views, board, size, model=model)
+    misfits = dict(start.rejected)
+    used = tuple(k for k in range(len(views)) if k not in misfits)
+    adjusted, choice = _adjusted([views[k] for k in used], board, start.lens, model, skew=skew)
+    return LensCalibration(adjusted.lens, adjusted, used, start.rejected, choice)
+
+
+def _given(corners_px: FloatArray | None, k: int, board: Board, sigma_px: float) -> BoardView:
+    count = board.columns * board.rows
+    given = np.full((count, 2), np.nan) if corners_px is None else np.asarray(corners_px, float)
+    if given.size != 2 * count:
+        msg = (
+            f"lens: view {k} has corners of shape {given.shape}, the board has "
+            f"{board.columns}x{board.rows}; give all, NaN where one was not found"
+        )
+        raise CalibrationError(msg)
+    points = given.reshape(count, 2)
+    index = np.nonzero(np.isfinite(points).all(axis=1))[0]
+    covariance = np.tile(sigma_px**2 * np.eye(2), (len(index), 1, 1))
+    return BoardView(index, points[index], covariance)
+
+
+def _adjusted(
+    views: Sequence[BoardView],
+    board: Board,
+    start: Lens,
+    model: LensModel | None,
+    *,
+    skew: bool,
+) -> tuple[Adjusted, LensChoice]:
+    """Lens, poses and board together, again if another model than the start's is chosen."""
+
+    def fit(lens: Lens) -> tuple[Adjusted, LensChoice]:
+        adjusted = _jointly(views, board, lens, skew=skew)
+        given = adjusted.lens, adjusted.corners_mm, views, adjusted.poses, model
+        return adjusted, choose_lens(*given)
+
+    adjusted, choice = fit(start)
+    if choice.lens.model is adjusted.lens.model:
+        return adjusted, choice
+    adjusted, again = fit(choice.lens)  # the board is another now, too
+    return adjusted, again if again.lens.model is adjusted.lens.model else choice
+
+
+def _jointly(views: Sequence[BoardView], board: Board, lens: Lens, *, skew: bool) -> Adjusted:
+    """Paper boards are as uneven as they are large; sensors have square pixels."""
+    half_mm = 0.5 * float(np.ptp(board.corners_mm, axis=0).max())
+    priors = AdjustmentPriors(
+        lens=wide_prior(lens, skew=skew),
+        square=_SQUARE,
+        bow_mm=(4e-3 * half_mm, 1.2e-3 * half_mm, 1.2e-3 * half_mm),
+        corner_mm=5e-3 * board.square_mm,
+    )
+    poses = [resect(lens, board.corners_mm, view).pose for view in views]
+    return adjust(board, views, lens, poses, priors)

@@ -1,0 +1,1 @@
+"""What a site as drawn will see, and how well."""

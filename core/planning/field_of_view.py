@@ -1,0 +1,156 @@
+"""What the cameras see of a site as drawn, and how far target and rig may move in their view."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray
+from core.geometry.pose import Pose
+from core.planning.drawing import OUTLINE, Campaign, Drawing
+from core.rig.compensation import affine_error_px
+
+FEW_PX_SQUARE = 12.0
+"""Smaller squares have edges that overlap in a blurred image."""
+FEW_PX_DISC = 12.0
+"""Likewise the diameter of a disc."""
+_HALF = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """Scales, fields of view and travel."""
+
+    main_px_per_mm: float
+    sub_px_per_mm: float
+    main_field_mm: FloatArray
+    """(2,) width and height of the main image at its target."""
+    sub_field_mm: FloatArray
+    """(2,) likewise of the sub image at the board."""
+    disc_px: float
+    """Diameter of the smallest disc."""
+    square_px: float
+    corners_seen: int
+    corners: int
+    target_travel_mm: FloatArray
+    """(2,) how far the main target may move in x and y, either way, the rig at rest."""
+    rig_turn_mrad: FloatArray
+    """(2,) how far the rig may pan and tilt before the main target leaves its image."""
+    rig_shift_mm: FloatArray
+    """(2,) how far the rig may shift in x and y with half of the corners still in view."""
+    drift_mm: float
+    """What the expected drift alone moves the main target in its image, worst direction."""
+    affine_error_px: float
+    """Eq. 5 for the expected drift; below 1 px for the paper's method."""
+
+
+def room_of(drawing: Drawing) -> Room:
+    """Work out what is seen and how far things may move."""
+    site, limits = drawing.site, drawing.site.quality
+    scale, target = site.nominal_px_per_mm, site.main_target
+    sub_scale = site.sub.focal_px / site.sub_target.distance_mm
+    size = np.array([site.main.width_px, site.main.height_px], dtype=float)
+    radius_mm = OUTLINE * 0.5 * float(target.diameters_mm.max())
+    reach_mm = np.abs(target.centres_mm).max(axis=0) + radius_mm
+    travel = np.maximum(_HALF * size / scale - reach_mm, 0.0)
+    off_axis = float(np.abs(target.centres_mm).max()) * scale
+    return Room(
+        scale,
+        sub_scale,
+        size / scale,
+        np.array([site.sub.width_px, site.sub.height_px]) / sub_scale,
+        float(target.diameters_mm.min()) * scale,
+        site.sub_target.square_mm * sub_scale,
+        drawing.see_board(drawing.T_CS1_WS).visible,
+        len(drawing.board.corners_mm),
+        travel,
+        travel / target.distance_mm * 1e3,
+        np.array([_shift_to_half(drawing, axis) for axis in range(2)]),
+        limits.expected_drift_mrad * 1e-3 * target.distance_mm + limits.expected_drift_mm,
+        affine_error_px(target.distance_mm, limits.expected_drift_mm, off_axis),
+    )
+
+
+def _shift_to_half(drawing: Drawing, axis: int) -> float:
+    """How far the rig may shift along an axis until half of the corners have left the image."""
+    at_rest = drawing.see_board(drawing.T_CS1_WS).visible
+    target = drawing.site.sub_target
+    near, far = 0.0, 2.0 * target.square_mm * max(target.squares_x, target.squares_y)
+    for _ in range(12):
+        middle = _HALF * (near + far)
+        moved = Pose(np.eye(3), middle * np.eye(3)[axis]).compose(drawing.T_CS1_WS)
+        if drawing.see_board(moved).visible >= _HALF * at_rest:
+            near = middle
+        else:
+            far = middle
+    return near
+
+
+def warnings_of(drawing: Drawing, campaign: Campaign, room: Room) -> Iterator[str]:
+    """Say what will not work as drawn, with what to do."""
+    limits = drawing.site.quality
+    spare_mm = room.target_travel_mm - room.drift_mm
+    if spare_mm.min() <= 0.0:
+        yield (
+            f"the expected drift moves the main target by {room.drift_mm:.0f} mm in its image, "
+            f"{room.target_travel_mm.min():.0f} mm are free: a shorter main lens or a larger sensor"
+        )
+    lost = [p for p in campaign.positions_deg if not _whole(drawing, p).all()]
+    if lost:
+        yield (
+            f"the main target leaves its image at {len(lost)} of {len(campaign.positions_deg)} "
+            f"head positions, e.g. at pan {lost[0][0]:.2f} tilt {lost[0][1]:.2f} deg: turn less far"
+        )
+    if room.square_px < FEW_PX_SQUARE:
+        yield (
+            f"a square is only {room.square_px:.1f} px, {FEW_PX_SQUARE:.0f} px are needed: larger "
+            "squares, a longer sub lens, or the board nearer"
+        )
+    if room.disc_px < FEW_PX_DISC:
+        yield (
+            f"a disc is only {room.disc_px:.1f} px across, {FEW_PX_DISC:.0f} px are needed: larger "
+            "discs or a longer main lens"
+        )
+    yield from _border_warnings(drawing)
+    if room.affine_error_px >= 1.0:
+        yield (
+            f"Eq. 5 fails ({room.affine_error_px:.1f} px for {limits.expected_drift_mm:g} mm along "
+            "the view): calibrate with --method rigid, not paper"
+        )
+
+
+def _whole(drawing: Drawing, position: tuple[float, float]) -> BoolArray:
+    """Which discs are wholly in the main image at a head position."""
+    return drawing.see_discs(drawing.head_motion(position)).found
+
+
+def _border_warnings(drawing: Drawing) -> Iterator[str]:
+    """Where no border of the board is in view, a motion of two squares looks like none."""
+    site, board = drawing.site, drawing.board
+    target = site.sub_target
+    seen = drawing.see_board(drawing.T_CS1_WS).view.index
+    if len(seen) == 0:
+        yield "no corner of the board is in the sub image: check [target.sub] distance_mm and lens"
+        return
+    j, i = np.divmod(seen, board.columns)
+    size_mm = np.array([target.squares_x, target.squares_y]) * target.square_mm
+    field_mm = np.array([site.sub.width_px, site.sub.height_px]) * (
+        target.distance_mm / site.sub.focal_px
+    )
+    for name, places, count, whole, field in zip(
+        ("left or right", "top or bottom"),
+        (i, j),
+        (board.columns, board.rows),
+        size_mm,
+        field_mm,
+        strict=True,
+    ):
+        hidden = count - len(np.unique(places))
+        if whole > field and hidden > 1:
+            yield (
+                f"no border of the board in view at {name} ({whole:.0f} mm of board in "
+                f"{field:.0f} mm of view): a shift by two squares, {2 * target.square_mm:g} mm, "
+                "looks like none; a smaller board or a wider view shows which part is seen"
+            )

@@ -1,0 +1,296 @@
+"""What a site will measure, before it is built: the same calibration and correction, no images.
+
+Views are projected from the drawing instead of located in images, with the covariance that located
+corners and discs would have. The normal equations of the project's own fit, at the truth, give the
+covariance of the calibration; its own correction gives that of a row. Nothing is fitted: what is
+planned here is the sigma that a calibration and its rows will report.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from core.adjustment.bundle_adjustment import Spreads
+from core.arrays import FloatArray
+from core.calibration.joint_fit import Method, Recipe, foresee_fit, whole_setup
+from core.calibration.observability import AXES, drift_motions
+from core.checkerboard.resection import MIN_CORNERS, pose_jacobian
+from core.errors import TargetNotFoundError
+from core.geometry.pose import Pose
+from core.planning.drawing import Campaign, Drawing
+from core.rig.calibrated_site import Setup
+from core.rig.posterior import Effects, Posterior
+from core.rig.propagation import DISC_FLOOR_PX, predict_shift, reference_noise, shift_effects
+from core.site import Site
+
+FAIR_PRINT = Spreads(column_mm=0.005, row_mm=0.005, corner_mm=0.001)
+"""How far lines and corners of the board will be from where they should: a good laser print."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionSigma:
+    """What is foreseen for one motion of the rig."""
+
+    motion: str
+    calibration_mm: float
+    """1 sigma of its correction from the calibration alone, the worse direction: as reported."""
+    row_mm: float
+    """1 sigma of a corrected displacement then, the worse direction: as in a row."""
+
+
+@dataclass(frozen=True, slots=True)
+class Foreseen:
+    """1-sigma errors, mm at the main target."""
+
+    still_mm: FloatArray
+    """(2,) x, y of a corrected displacement with the rig where it was at the reference."""
+    drifted_mm: FloatArray
+    """(2,) x, y with the rig anywhere within the expected drift (each axis evenly spread)."""
+    motions: tuple[MotionSigma, ...]
+    """The largest expected drift along or about each axis."""
+
+    @property
+    def worst_mm(self) -> float:
+        """Of the rows foreseen."""
+        return max(m.row_mm for m in self.motions)
+
+    @property
+    def typical_mm(self) -> float:
+        """The worse coordinate within the drift."""
+        return float(self.drifted_mm.max())
+
+
+def calibrate_drawing(drawing: Drawing, campaign: Campaign) -> Setup:
+    """Say what a calibration by these views will know; its posterior is whole.
+
+    Raises NotObservableError if the positions do not determine it, TargetNotFoundError if a
+    target is out of view.
+    """
+    require_in_view(drawing)
+    recipe = Recipe(drawing.site, drawing.board, Method.RIGID, skew=False)
+    views = drawing.views(campaign)
+    fit = foresee_fit(views, drawing.lens, drawing.poses(campaign), recipe, FAIR_PRINT)
+    return whole_setup(fit, recipe)
+
+
+def require_in_view(drawing: Drawing) -> None:
+    """Raise TargetNotFoundError unless a calibration's reference would show both targets."""
+    corners = drawing.see_board(drawing.T_CS1_WS).visible
+    if corners < MIN_CORNERS:
+        msg = (
+            f"sub target: {corners} corners of the board are in the image, {MIN_CORNERS} are "
+            "needed; check [target.sub] and [camera.sub] focal_length_mm"
+        )
+        raise TargetNotFoundError(msg)
+    found = drawing.see_discs(Pose.identity()).found
+    if not found.all():
+        msg = (
+            f"main target: {int(found.sum())} of {len(found)} discs are wholly in the image, all "
+            "are needed; check [target.main], or a shorter [camera.main] focal_length_mm"
+        )
+        raise TargetNotFoundError(msg)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameNoise:
+    """How noisy one frame is, as multiples of what its images tell (variance)."""
+
+    corners: float = 1.0
+    discs: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What the error of a corrected displacement will be made of, at one motion of the rig."""
+
+    effects: Effects
+    """Of all that is calibrated, px."""
+    pose_px2: FloatArray
+    """(2, 2) from the frame's corners."""
+    discs_px2: FloatArray
+    """(2, 2) from the frame's discs."""
+    to_mm: FloatArray
+    """(2, 2) mm/px."""
+
+    def calibration_mm2(self, posterior: Posterior) -> FloatArray:
+        """Covariance (2, 2) from the calibration alone."""
+        return np.asarray(self.to_mm @ self.effects.covariance(posterior) @ self.to_mm.T)
+
+    def covariance_mm2(self, posterior: Posterior, noise: FrameNoise) -> FloatArray:
+        """Covariance (2, 2) of a row, as `corrected_displacement` gives it."""
+        frame_px2 = noise.corners * self.pose_px2 + noise.discs * self.discs_px2
+        return self.calibration_mm2(posterior) + self.to_mm @ frame_px2 @ self.to_mm.T
+
+
+def row_at(drawing: Drawing, setup: Setup, motion: Pose) -> Row:
+    """A row with the rig moved by `T_CSj_CS1`, the main target at rest.
+
+    Raises TargetNotFoundError if the targets are out of view then.
+    """
+    pair, pose = drawing.see_pair("row", motion), motion.compose(setup.reference_pose)
+    view, which = pair.board.view, np.nonzero(pair.discs.found)[0]
+    if len(view.index) < MIN_CORNERS or len(which) == 0:
+        msg = "the expected drift takes a target out of its image: see [quality] expected_drift_*"
+        raise TargetNotFoundError(msg)
+    weights, root = np.full(len(which), 1.0 / len(which)), view.whitening()
+    prediction = predict_shift(setup.model, setup.reference_discs_px[which], motion)
+    effects, by_pose = shift_effects(setup, prediction, which, weights, pose, view, root)
+    jacobian = root @ pose_jacobian(setup.lens, pose, setup.corners_mm[view.index])[1]
+    flat = jacobian.reshape(-1, 6)
+    each_px2 = pair.discs.covariance_px2[which] + DISC_FLOOR_PX**2 * np.eye(2)
+    return Row(
+        effects,
+        by_pose @ np.linalg.solve(flat.T @ flat, by_pose.T),
+        each_px2.mean(axis=0) / len(which),
+        np.linalg.inv(setup.B),
+    )
+
+
+def drift_rows(drawing: Drawing, setup: Setup) -> tuple[Row, ...]:
+    """Rows with the rig at rest, then with the largest expected drift about and along each axis."""
+    motions = (Pose.identity(), *drift_motions(drawing.site.quality))
+    return tuple(row_at(drawing, setup, motion) for motion in motions)
+
+
+def foresee(rows: Sequence[Row], posterior: Posterior, noise: FrameNoise | None = None) -> Foreseen:
+    """Foresee the sigma of corrected displacements at rest and within the drift (`drift_rows`)."""
+    noise = noise or FrameNoise()
+    still, *drifts = (row.covariance_mm2(posterior, noise) for row in rows)
+    # The error of a small motion's correction is linear in the motion; evenly spread within
+    # its limits a motion has a third of the variance that its limit has.
+    drifted = still + sum((drift - still for drift in drifts), np.zeros((2, 2))) / 3.0
+    return Foreseen(
+        np.sqrt(np.diag(still)),
+        np.sqrt(np.diag(drifted)),
+        tuple(
+            MotionSigma(name, _worst_mm(row.calibration_mm2(posterior)), _worst_mm(drift))
+            for name, row, drift in zip(AXES, rows[1:], drifts, strict=True)
+        ),
+    )
+
+
+def _worst_mm(covariance_mm2: FloatArray) -> float:
+    return math.sqrt(np.linalg.eigvalsh(covariance_mm2).max())
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """One cause of error, and what would be left without it."""
+
+    cause: str
+    without_mm: float
+    """`typical_mm` if this were perfect."""
+
+
+def limits_of(drawing: Drawing, setup: Setup, rows: Sequence[Row]) -> tuple[Limit, ...]:
+    """What limits the accuracy: the sigma within the drift if one thing after another were perfect.
+
+    The most costly first. What a part known perfectly leaves is the conditional covariance.
+    """
+    whole = setup.posterior
+    parts = {
+        "lens of the sub-camera": whole.knowing(whole.lens),
+        "print and flatness of the board": whole.knowing_board(),
+        "rotation between the cameras": whole.knowing(whole.model[:3]),
+        "offset between the cameras": whole.knowing(whole.model[3:6]),
+        "distance and scale of the main target": whole.knowing(whole.model[6:8]),
+        "noise of the reference's pose": whole.knowing(reference_noise(setup, drawing.site.sub)),
+    }
+    limits = [Limit(cause, foresee(rows, left).typical_mm) for cause, left in parts.items()]
+    quiet = {
+        "noise of a frame's pose (sub-camera)": FrameNoise(corners=0.0),
+        "noise of the discs (main camera)": FrameNoise(discs=0.0),
+    }
+    limits += [
+        Limit(cause, foresee(rows, whole, noise).typical_mm) for cause, noise in quiet.items()
+    ]
+    return tuple(sorted(limits, key=lambda limit: limit.without_mm))
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Something that could be done otherwise."""
+
+    what: str
+    drawing: Drawing
+    campaign: Campaign
+    noise: FrameNoise = field(default_factory=FrameNoise)
+
+
+@dataclass(frozen=True, slots=True)
+class Improvement:
+    """A change, and what it would bring."""
+
+    what: str
+    typical_mm: float
+
+
+WORTHWHILE = 0.9
+"""Changes that leave more of the sigma than this are not told."""
+
+
+def possible_changes(drawing: Drawing, campaign: Campaign) -> tuple[Change, ...]:
+    """What an engineer could do otherwise, one thing at a time."""
+    site = drawing.site
+    target, rig, main = site.sub_target, site.rig, site.main_target
+    focal_mm = 1.5 * site.sub.focal_length_mm
+    longer = replace(site, sub=replace(site.sub, focal_length_mm=focal_mm))
+    squares = math.ceil(1.4 * target.squares_x), math.ceil(1.4 * target.squares_y)
+    larger = replace(target, squares_x=squares[0], squares_y=squares[1])
+    surveyed = replace(
+        site,
+        rig=replace(
+            rig,
+            rotation_sigma_deg=rig.rotation_sigma_deg / 4.0,
+            offset_sigma_mm=rig.offset_sigma_mm / 4.0,
+        ),
+        main_target=replace(main, distance_sigma_mm=main.distance_sigma_mm / 4.0),
+    )
+    more = 2 * campaign.lens_views
+
+    def other(changed: Site) -> Drawing:
+        return replace(drawing, site=changed)
+
+    return (
+        Change(
+            f"{more} lens views instead of {campaign.lens_views}",
+            drawing,
+            replace(campaign, lens_views=more),
+        ),
+        Change(
+            f"a sub-camera lens of {focal_mm:g} mm instead of {site.sub.focal_length_mm:g} mm",
+            other(longer),
+            campaign,
+        ),
+        Change(
+            f"a larger board, {squares[0]} x {squares[1]} squares of {target.square_mm:g} mm",
+            other(replace(site, sub_target=larger)),
+            campaign,
+        ),
+        Change(
+            f"a survey four times as good: to {rig.rotation_sigma_deg / 4:.2g} deg between the "
+            f"cameras, {rig.offset_sigma_mm / 4:.2g} mm of offset, "
+            f"{main.distance_sigma_mm / 4:.2g} mm of distance",
+            other(surveyed),
+            campaign,
+        ),
+        Change(
+            "four pairs a slot ([schedule] burst = 4)", drawing, campaign, FrameNoise(0.25, 0.25)
+        ),
+    )
+
+
+def improvements(now: Foreseen, changes: Sequence[Change]) -> tuple[Improvement, ...]:
+    """Plan again with each change; those worth it, the best first."""
+    found = []
+    for change in changes:
+        again = calibrate_drawing(change.drawing, change.campaign)
+        rows = drift_rows(change.drawing, again)
+        typical_mm = foresee(rows, again.posterior, change.noise).typical_mm
+        if typical_mm < WORTHWHILE * now.typical_mm:
+            found.append(Improvement(change.what, typical_mm))
+    return tuple(sorted(found, key=lambda improvement: improvement.typical_mm))

@@ -1,0 +1,1 @@
+"""Whether to believe a measurement: verdicts on one pair, on a burst, on a run of rows."""

@@ -1,0 +1,136 @@
+"""The verdict on a measurement: a flag, and reasons from the closed list."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from core.arrays import FloatArray
+from core.checkerboard.corners import LocatedBoard
+from core.checkerboard.resection import BoardPose
+from core.checkerboard.shadow import crossed_by_shadow
+from core.discs.disc_finder import Discs
+from core.images import GreyImage
+from core.quality.print_fingerprint import missing_print
+from core.quality.residual_ratio import noisier
+from core.results import Displacement, Flag, Reason, RigMotion
+from core.rig.calibrated_site import Setup
+from core.rig.compensation import Shift, affine_error_px
+from core.rig.paper import PaperModel
+from core.site import Site
+
+_DARK_SHARE = 0.08
+_SATURATED_SHARE = 0.3
+_HIDDEN_SHARE = 0.005
+_MISFIT_WEIGHT = 0.1  # five standard deviations off
+_MISFIT_PX = 0.05  # and more than a board's print errors leave
+_FOREIGN_SHARE = 0.25
+"""Of the print errors: two squares off, even the lines of one direction alone leave 0.4."""
+_CLEAN = 0.95
+_BLUR_FACTOR = 2.0
+_RESIDUAL_FACTOR = 3.0
+_MAIN_RESIDUAL_PX = 0.05
+_NO_VALUE_PX = 1.0
+_RANGE_FACTOR = 4.0
+_MISSING = {Reason.MAIN_IMAGE_MISSING, Reason.SUB_IMAGE_MISSING}
+
+
+def too_dark(image: GreyImage) -> bool:
+    """Whether even the bright parts of an image are near black."""
+    bright = float(np.percentile(image.pixels[::4, ::4], 99.0))
+    return bright < _DARK_SHARE * image.saturation_dn
+
+
+def overexposed(image: GreyImage) -> bool:
+    """Whether a large part of an image is saturated."""
+    share = float((image.pixels[::4, ::4] >= image.saturation_dn).mean())
+    return share > _SATURATED_SHARE
+
+
+def judge_main(setup: Setup, discs: Discs, shift: Shift | None) -> list[Reason]:
+    """What is doubtful about the main target; shift is what is left with the rig's motion off.
+
+    None where that is not known: the rig's roll turns the discs about one another, too.
+    """
+    reasons = []
+    wanted = np.isfinite(setup.reference_discs_px).all(axis=1)
+    if (discs.clean[wanted] < _CLEAN).any() or not discs.found[wanted].all():
+        reasons.append(Reason.MAIN_TARGET_PARTLY_HIDDEN)
+    if shift is not None and shift.residual_px > _MAIN_RESIDUAL_PX:
+        reasons.append(Reason.MAIN_TARGET_DISTURBED)
+    if discs.blur_px > _BLUR_FACTOR * max(setup.levels.main_blur_px, 1.0):
+        reasons.append(Reason.BLURRED)
+    return reasons
+
+
+def judge_sub(setup: Setup, located: LocatedBoard, board: BoardPose) -> list[Reason]:
+    """What is doubtful about the sub target."""
+    reasons = []
+    if not located.certain:
+        reasons.append(Reason.SUB_TARGET_UNCERTAIN)
+    if _hidden(located, board) > _HIDDEN_SHARE * located.visible:
+        reasons.append(Reason.SUB_TARGET_PARTLY_HIDDEN)
+    if board.rms_px > _RESIDUAL_FACTOR * max(setup.levels.sub_rms_px, 0.002) * noisier(
+        setup.levels.sub_contrast_dn, located.contrast_dn
+    ):
+        reasons.append(Reason.SUB_TARGET_DISTURBED)
+    if _is_foreign(setup, located, board):
+        reasons.append(Reason.SUB_TARGET_CHANGED)
+    if located.blur_px > _BLUR_FACTOR * max(setup.levels.sub_blur_px, 0.8):
+        reasons.append(Reason.BLURRED)
+    return reasons
+
+
+def _hidden(located: LocatedBoard, board: BoardPose) -> int:
+    """How many corners something lies on: those lost to a shadow's edge are not among them."""
+    off = np.hypot(board.residuals_px[:, 0], board.residuals_px[:, 1])
+    misfit = (board.weights < _MISFIT_WEIGHT) & (off > _MISFIT_PX)
+    points = located.view.points_px
+    lost = np.concatenate([located.missing_px, points[misfit]])
+    white, black = located.white_dn[~misfit], located.black_dn[~misfit]
+    crossed = crossed_by_shadow(lost, points[~misfit], white, black)
+    return int((~crossed).sum())
+
+
+def _is_foreign(setup: Setup, located: LocatedBoard, board: BoardPose) -> bool:
+    """Whether the print errors of the calibrated board are missing.
+
+    Print errors smaller than the noise of a corner are known too poorly to be missed, and too
+    small to spoil a value.
+    """
+    share, size_px = missing_print(setup, located.view, board)
+    return share > _FOREIGN_SHARE and size_px > setup.levels.sub_rms_px
+
+
+def beyond_belief(shift: Shift, board: BoardPose | None) -> bool:
+    """Whether the discs or the corners contradict each other so far that no value can be given."""
+    if shift.residual_px > _NO_VALUE_PX:
+        return True
+    return board is not None and board.plain_rms_px > _NO_VALUE_PX
+
+
+def judge_motion(setup: Setup, motion: RigMotion, site: Site) -> list[Reason]:
+    """Whether the rig moved further than the calibration and the expected drift cover."""
+    turn = max(setup.levels.max_rotation_rad, site.quality.expected_drift_mrad * 1e-3)
+    slide = max(setup.levels.max_translation_mm, site.quality.expected_drift_mm)
+    far = float(np.linalg.norm(motion.rotation_rad)) > _RANGE_FACTOR * turn
+    far |= float(np.linalg.norm(motion.translation_mm)) > _RANGE_FACTOR * slide
+    reasons = [Reason.MOTION_OUT_OF_RANGE] if far else []
+    if isinstance(setup.model, PaperModel):
+        off_axis = float(np.nanmax(np.abs(setup.reference_discs_px - site.main.centre_px)))
+        distance, axial = site.main_target.distance_mm, float(motion.translation_mm[2])
+        if affine_error_px(distance, axial, off_axis) > 1.0:
+            reasons.append(Reason.AFFINE_INVALID)
+    return reasons
+
+
+def judge_value(corrected: Displacement, site: Site) -> list[Reason]:
+    """Whether the value is too uncertain."""
+    sigma: FloatArray = np.sqrt(np.diag(corrected.covariance_mm2))
+    return [Reason.SIGMA_TOO_LARGE] if float(sigma.max()) > site.quality.max_sigma_mm else []
+
+
+def flag_of(reasons: tuple[Reason, ...], *, has_value: bool) -> Flag:
+    """Good without a reason, suspect with a value, missing or bad without one."""
+    if has_value:
+        return Flag.SUSPECT if reasons else Flag.GOOD
+    return Flag.MISSING if _MISSING.intersection(reasons) else Flag.BAD

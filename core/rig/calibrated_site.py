@@ -1,0 +1,146 @@
+"""The calibrated state of a site: what every measurement is computed with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from core.arrays import FloatArray
+from core.checkerboard.board import Board
+from core.checkerboard.board_shape import shape_terms
+from core.geometry.lens import Lens
+from core.geometry.pose import Pose
+from core.lens_model import LensModel
+from core.rig.paper import PaperModel
+from core.rig.posterior import Posterior
+from core.rig.rigid import Rig
+from core.site import CheckerboardTarget
+
+
+@dataclass(frozen=True, slots=True)
+class Levels:
+    """How the images looked and fitted at calibration: what later frames are held against."""
+
+    sub_rms_px: float
+    sub_contrast_dn: float
+    sub_blur_px: float
+    main_contrast_dn: float
+    main_blur_px: float
+    max_rotation_rad: float
+    """Largest rotation among the calibration's motions."""
+    max_translation_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """Lens, board, reference and rig as calibrated."""
+
+    board: Board
+    """As drawn."""
+    corners_mm: FloatArray
+    """(corners, 3) as estimated."""
+    lens: Lens
+    reference_pose: Pose
+    """`T_CS1_WS`."""
+    reference_discs_px: FloatArray
+    """(discs, 2) in the reference image, NaN for a disc not seen there."""
+    B: FloatArray
+    """(2, 2) B~ of Eq. 8, px/mm."""
+    model: Rig | PaperModel
+    posterior: Posterior
+    """How far all of this can be trusted."""
+    levels: Levels
+
+    @property
+    def shape_terms(self) -> FloatArray:
+        """d(corner)/d(shape), (corners, 3, 13)."""
+        return shape_terms(self.board)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give plain JSON types; NaN becomes null."""
+        discs = [None if np.isnan(p).any() else p.tolist() for p in self.reference_discs_px]
+        return {
+            "board": [
+                self.board.columns + 1,
+                self.board.rows + 1,
+                self.board.square_mm,
+            ],
+            "corners_mm": self.corners_mm.tolist(),
+            "lens": {"model": self.lens.model, "parameters": self.lens.parameters.tolist()},
+            "reference_pose": _pose_to_dict(self.reference_pose),
+            "reference_discs_px": discs,
+            "B": self.B.tolist(),
+            "model": _model_to_dict(self.model),
+            "posterior": self.posterior.to_dict(),
+            "levels": {name: getattr(self.levels, name) for name in Levels.__slots__},
+        }
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Setup:
+        """Read what `to_dict` gave. Raises KeyError or ValueError on anything else."""
+        squares_x, squares_y, square_mm = data["board"]
+        discs = [[np.nan, np.nan] if p is None else p for p in data["reference_discs_px"]]
+        return cls(
+            Board.nominal(CheckerboardTarget(int(squares_x), int(squares_y), square_mm, 0.0)),
+            np.array(data["corners_mm"]),
+            _lens_from_dict(data["lens"]),
+            _pose_from_dict(data["reference_pose"]),
+            np.array(discs, dtype=float),
+            np.array(data["B"]),
+            _model_from_dict(data["model"]),
+            Posterior.from_dict(data["posterior"]),
+            Levels(**data["levels"]),
+        )
+
+
+def _lens_from_dict(data: dict[str, Any] | list[float]) -> Lens:
+    if isinstance(data, list):  # format 1 knew one model only
+        return Lens(np.array(data), LensModel.BROWN)
+    return Lens(np.array(data["parameters"]), LensModel(data["model"]))
+
+
+def _pose_to_dict(pose: Pose) -> dict[str, Any]:
+    return {"R": pose.R.tolist(), "t_mm": pose.t_mm.tolist()}
+
+
+def _pose_from_dict(data: dict[str, Any]) -> Pose:
+    return Pose(np.array(data["R"]), np.array(data["t_mm"]))
+
+
+def _model_to_dict(model: Rig | PaperModel) -> dict[str, Any]:
+    if isinstance(model, Rig):
+        return {
+            "kind": "rigid",
+            "T_CM_CS": _pose_to_dict(model.T_CM_CS),
+            "depth_mm": model.depth_mm,
+            "scale_px_per_mm": model.scale_px_per_mm,
+            "centre_px": model.centre_px.tolist(),
+        }
+    return {
+        "kind": "paper",
+        "B": model.B.tolist(),
+        "p_mm": model.p_mm.tolist(),
+        "covariance": model.covariance.tolist(),
+        "singular_values": model.singular_values.tolist(),
+    }
+
+
+def _model_from_dict(data: dict[str, Any]) -> Rig | PaperModel:
+    if data["kind"] == "rigid":
+        return Rig(
+            _pose_from_dict(data["T_CM_CS"]),
+            data["depth_mm"],
+            data["scale_px_per_mm"],
+            np.array(data["centre_px"]),
+        )
+    if data["kind"] != "paper":
+        msg = f"unknown kind of model {data['kind']!r}"
+        raise ValueError(msg)
+    return PaperModel(
+        np.array(data["B"]),
+        np.array(data["p_mm"]),
+        np.array(data["covariance"]),
+        np.array(data["singular_values"]),
+    )

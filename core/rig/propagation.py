@@ -1,0 +1,150 @@
+"""How a row's false shift changes with everything calibrated: its exact first derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import FloatArray, IntArray
+from core.checkerboard.resection import BoardView, pose_jacobian
+from core.geometry.lens import Lens
+from core.geometry.pose import Pose
+from core.rig.calibrated_site import Setup
+from core.rig.paper import PaperModel
+from core.rig.posterior import Effects
+from core.rig.rigid import Rig, motion_by_pose, motion_by_reference
+from core.site import CameraGeometry
+
+DISC_FLOOR_PX = 0.0007
+"""What a located disc is not trusted beyond, however low the noise."""
+MAIN_GEOMETRY = 5e-5
+"""Of a false shift: the main camera is modelled without distortion and with square pixels. Sites
+with pixels off square by 1 in 10,000, as simulated, have this error."""
+_MARGIN_PX = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """False shift of each disc, with its derivatives."""
+
+    shift_px: FloatArray
+    """(n, 2)."""
+    by_motion: FloatArray
+    """(n, 2, 6)."""
+    by_model: FloatArray
+    """(n, 2, m) by the parameters of the rig (8) or of the paper's model (9)."""
+
+
+def predict_shift(model: Rig | PaperModel, reference_px: FloatArray, motion: Pose) -> Prediction:
+    """Predict how the rig's motion shifts the image of a target at rest (Eq. 17)."""
+    if isinstance(model, Rig):
+        moved, by_motion, by_rig = model.move_jacobians(reference_px, motion)
+        return Prediction(moved - reference_px, by_motion, by_rig)
+    n = len(reference_px)
+    by_motion, by_parameters = model.shift_jacobians(motion)
+    return Prediction(
+        np.tile(model.shift(motion), (n, 1)),
+        np.tile(by_motion, (n, 1, 1)),
+        np.tile(by_parameters, (n, 1, 1)),
+    )
+
+
+def pose_follows(
+    lens: Lens,
+    pose: Pose,
+    corners_mm: FloatArray,
+    view: BoardView,
+    root: FloatArray,
+    by_pose: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """How a value that rests on a fitted pose follows lens and board.
+
+    The pose is where J^T W (u - f) = 0, so it moves by -(J^T W J)^-1 J^T W df/dx. by_pose (k, 6)
+    is the value's derivative; gives those by lens (k, lens parameters) and by the corners seen
+    (k, n, 3). root (n, 2, 2) whitens; corners_mm (corners, 3) is the whole board.
+    """
+    _, jacobian, by_point, by_lens = pose_jacobian(lens, pose, corners_mm[view.index])
+    n, k = len(view.index), len(by_pose)
+    weighted = root.transpose(0, 2, 1) @ (root @ jacobian)
+    normal = jacobian.reshape(-1, 6).T @ weighted.reshape(-1, 6)
+    gain = weighted @ -np.linalg.solve(normal, by_pose.T)
+    through_lens = gain.reshape(-1, k).T @ by_lens.reshape(2 * n, -1)
+    through_corners = gain.transpose(0, 2, 1) @ by_point
+    return through_lens, through_corners.transpose(1, 0, 2)
+
+
+def shift_effects(
+    setup: Setup,
+    prediction: Prediction,
+    which: IntArray,
+    weights: FloatArray,
+    pose: Pose,
+    view: BoardView,
+    root: FloatArray,
+) -> tuple[Effects, FloatArray]:
+    """How the discs' mean false place, (2,) px, follows the calibration, and the pose (2, 6).
+
+    weights (n,) of the discs `which` sum to 1; root (corners seen, 2, 2) is what the pose was
+    fitted with.
+    """
+    motion = pose.compose(setup.reference_pose.inverse())
+    by_motion = np.einsum("k,kab->ab", weights, prediction.by_motion)
+    by_model = np.einsum("k,kab->ab", weights, prediction.by_model)
+    by_pose = by_motion @ motion_by_pose(motion, setup.reference_pose)
+    by_reference = by_motion @ motion_by_reference(motion, setup.reference_pose)
+    by_lens, by_corners = pose_follows(setup.lens, pose, setup.corners_mm, view, root, by_pose)
+    by_discs = np.zeros((2, len(setup.reference_discs_px), 2))
+    by_discs[:, which] = np.eye(2)[:, None] * weights[:, None]
+    floor = np.diag((MAIN_GEOMETRY * (weights @ prediction.shift_px)) ** 2)
+    return (
+        Effects(by_lens, by_model, by_reference, by_discs, view.index, by_corners, floor),
+        by_pose,
+    )
+
+
+def reference_noise(setup: Setup, camera: CameraGeometry) -> FloatArray:
+    """(6, r) rows of the reference pose's own error, by the posterior's columns.
+
+    That is what is left of it once the errors of lens and board have had their effect.
+    """
+    view = expected_view(setup, camera, setup.reference_pose)
+    by_lens, by_corners = pose_follows(
+        setup.lens, setup.reference_pose, setup.corners_mm, view, view.whitening(), np.eye(6)
+    )
+    nothing = np.zeros((6, len(setup.posterior.model)))
+    no_discs = np.zeros((6, len(setup.reference_discs_px), 2))
+    effects = Effects(
+        by_lens, nothing, np.zeros((6, 6)), no_discs, view.index, by_corners, np.zeros((6, 6))
+    )
+    return setup.posterior.reference - effects.through(setup.posterior)
+
+
+def expected_view(setup: Setup, camera: CameraGeometry, pose: Pose) -> BoardView:
+    """The corners that a pose `T_CS_WS` puts into the image, as noisy as at calibration."""
+    points = setup.lens.project(pose.apply(setup.corners_mm))
+    size_px = np.array([camera.width_px, camera.height_px]) - 1.0 - _MARGIN_PX
+    inside = ((points > _MARGIN_PX) & (points < size_px)).all(axis=1)
+    index = np.nonzero(inside)[0]
+    noise = np.tile(setup.levels.sub_rms_px**2 * np.eye(2), (len(index), 1, 1))
+    return BoardView(index, points[index], noise)
+
+
+def expected_effects(
+    setup: Setup, camera: CameraGeometry, motion: Pose
+) -> tuple[Effects, FloatArray]:
+    """What a row would have after this rig motion: effects, and the image noise (2, 2) px^2.
+
+    The discs all count alike.
+    """
+    pose = motion.compose(setup.reference_pose)
+    view = expected_view(setup, camera, pose)
+    which = np.nonzero(np.isfinite(setup.reference_discs_px).all(axis=1))[0]
+    prediction = predict_shift(setup.model, setup.reference_discs_px[which], motion)
+    weights = np.full(len(which), 1.0 / len(which))
+    root = view.whitening()
+    effects, by_pose = shift_effects(setup, prediction, which, weights, pose, view, root)
+    jacobian = root @ pose_jacobian(setup.lens, pose, setup.corners_mm[view.index])[1]
+    flat = jacobian.reshape(-1, 6)
+    noise = by_pose @ np.linalg.solve(flat.T @ flat, by_pose.T)
+    return effects, noise + 2.0 * DISC_FLOOR_PX**2 / len(which) * np.eye(2)

@@ -1,0 +1,1 @@
+"""How dcamd and its surroundings talk: control socket, signals, systemd, run state."""

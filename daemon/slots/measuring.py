@@ -1,0 +1,158 @@
+"""From images to a measurement, wherever they come from; every pair gets an answer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+
+import structlog
+
+from core.calibration.calibrate import Calibration
+from core.errors import CalibrationError, ImageError
+from core.images import GreyImage, require_size
+from core.measurement import measure_pair
+from core.quality.burst import combine
+from core.quality.verdicts import flag_of
+from core.results import Flag, Measurement, Reason
+from core.site import CameraGeometry, Site
+from daemon.store.database import Store
+from daemon.store.frames.archive import ArchivedPair, FrameArchive
+from daemon.times import slot_text
+from drivers.errors import FrameSetError, ImageMissingError
+from drivers.frameset import read_image
+from drivers.protocols import CapturedPair, Role
+
+_log = structlog.get_logger("dcam.daemon")
+
+_MISSING = {"main": Reason.MAIN_IMAGE_MISSING, "sub": Reason.SUB_IMAGE_MISSING}
+_UNREADABLE = {"main": Reason.MAIN_IMAGE_UNREADABLE, "sub": Reason.SUB_IMAGE_UNREADABLE}
+
+
+@dataclass(frozen=True, slots=True)
+class ActiveCalibration:
+    """The calibration that rows are measured with, and its number in the database."""
+
+    id: int | None
+    calibration: Calibration
+
+
+@dataclass(frozen=True, slots=True)
+class ImagePair:
+    """The images of one pair as they are known before they are looked at."""
+
+    main: GreyImage | None
+    sub: GreyImage | None
+    """None means no image: not there, or there and `unreadable`."""
+    skew_s: float | None = None
+    unreadable: frozenset[Role] = frozenset()
+
+
+@dataclass(frozen=True, slots=True)
+class PairFiles:
+    """Where the images of one pair are."""
+
+    main: Path | None
+    sub: Path | None
+    skew_s: float | None = None
+
+
+def active_calibration(store: Store) -> ActiveCalibration | None:
+    """Give the calibration in use, None when there is none or it cannot be read."""
+    record = store.active_calibration()
+    if record is None:
+        return None
+    try:
+        return ActiveCalibration(record.id, record.calibration)
+    except CalibrationError as error:
+        _log.error("calibration_unreadable", calibration=record.id, error=str(error))
+        return None
+
+
+def measure(
+    pairs: Iterable[ImagePair], site: Site, calibration: ActiveCalibration | None
+) -> Measurement:
+    """Measure the pairs of one slot and combine them; every slot gets an answer."""
+    return combine([_measure_one(pair, site, calibration) for pair in pairs])
+
+
+def image_pair(pair: CapturedPair) -> ImagePair:
+    """What the cameras gave."""
+    main, sub = (GreyImage(frame.pixels, frame.bits) for frame in (pair.main, pair.sub))
+    return ImagePair(main, sub, pair.skew_s)
+
+
+def read_pair(files: PairFiles, site: Site) -> ImagePair:
+    """Read a pair's files; one that is missing or damaged is a reason, not an error."""
+    images: dict[Role, GreyImage | None] = {"main": None, "sub": None}
+    unreadable: set[Role] = set()
+    paths: tuple[tuple[Role, Path | None], ...] = (("main", files.main), ("sub", files.sub))
+    for role, path in paths:
+        try:
+            images[role] = read_image(path) if path else None
+            _note_size(images[role], site.main if role == "main" else site.sub, path)
+        except ImageMissingError as error:
+            _log.warning("image_missing", error=str(error))
+        except FrameSetError as error:
+            _log.warning("image_unreadable", error=str(error))
+            unreadable.add(role)
+    return ImagePair(images["main"], images["sub"], files.skew_s, frozenset(unreadable))
+
+
+def load_pairs(
+    archive: FrameArchive, slot_utc: datetime
+) -> tuple[list[ImagePair], ArchivedPair | None]:
+    """Read a slot's pairs of the archive, and give what is known of the first good one.
+
+    A damaged pair counts with both images unreadable; so does a slot without any.
+    Raises ArchiveError.
+    """
+    pairs: list[ImagePair] = []
+    first: ArchivedPair | None = None
+    for number in archive.numbers(slot_utc) or [1]:
+        try:
+            stored = archive.load(slot_utc, number)
+        except FrameSetError as error:
+            _log.warning("stored_pair_damaged", slot=slot_text(slot_utc), error=str(error))
+            pairs.append(ImagePair(None, None, unreadable=frozenset({"main", "sub"})))
+            continue
+        first = first or stored
+        pairs.append(ImagePair(stored.main, stored.sub, stored.skew_s))
+    return pairs, first
+
+
+def worst_skew_s(pairs: Sequence[ImagePair]) -> float | None:
+    """The largest skew of a slot's pairs, with its sign."""
+    known = [pair.skew_s for pair in pairs if pair.skew_s is not None]
+    return max(known, key=abs, default=None)
+
+
+def _note_size(image: GreyImage | None, camera: CameraGeometry, path: Path | None) -> None:
+    """Log which file has another size than the config says; the core gives the reason."""
+    if image is None:
+        return
+    try:
+        require_size(image, camera, str(path))
+    except ImageError as error:
+        _log.warning("image_wrong_size", error=str(error))
+
+
+def _measure_one(pair: ImagePair, site: Site, calibration: ActiveCalibration | None) -> Measurement:
+    if len(pair.unreadable) == len(_UNREADABLE):
+        return _bad(*_UNREADABLE.values())
+    if calibration is None:
+        return _bad(Reason.NO_CALIBRATION)
+    try:
+        measurement = measure_pair(pair.main, pair.sub, site, calibration.calibration, pair.skew_s)
+    except Exception:  # noqa: BLE001 - a fault of ours costs this value, not the row
+        _log.exception("measurement_broke")
+        return _bad(Reason.INTERNAL_ERROR)
+    said = {_MISSING[role]: _UNREADABLE[role] for role in pair.unreadable}
+    reasons = tuple(said.get(reason, reason) for reason in measurement.reasons)
+    flag = flag_of(reasons, has_value=measurement.corrected is not None)
+    return replace(measurement, flag=flag, reasons=reasons)
+
+
+def _bad(*reasons: Reason) -> Measurement:
+    return Measurement(Flag.BAD, reasons, None, None, None)

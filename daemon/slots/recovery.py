@@ -1,0 +1,136 @@
+"""Coming back: account for the time without a daemon, and measure what was left half done.
+
+Everything here may be cut off and done again: a gap once recorded stays as it is, and a pair that
+has its row is no longer looked at.
+"""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+
+import structlog
+
+from daemon.clock.downtime import Absence, absence_text, read_absence, why_absent
+from daemon.errors import StoreError
+from daemon.schedule import SECOND, Schedule
+from daemon.slots.missing_slots import account_for_lost, note_schedule
+from daemon.slots.pipeline import Pipeline, record_late
+from daemon.slots.time_correction import finish_moves, mend_undated
+from daemon.store.database import Store
+from daemon.store.records import EPOCH, GapCause, Mark
+from daemon.times import instant_text, slot_text
+
+_log = structlog.get_logger("dcam.daemon")
+
+LOOK_BACK = timedelta(days=7)
+"""How far before the last row pairs without a row are looked for: the archive may hold years."""
+
+
+def recover(line: Pipeline, schedule: Schedule) -> datetime | None:
+    """Bring the record up to the present; give the last slot that is accounted for.
+
+    Slots since the last finished one become a gap with the cause of the absence; pairs without a
+    row are measured and recorded late, which takes their slots out of the gap again. Raises
+    StoreError.
+    """
+    note_schedule(line.store, schedule)
+    cause, detail = why_absent(line.store, line.machine.boot_id)
+    close_gap(line, schedule, cause, detail)
+    mark_start(line, schedule, cause, detail)
+    last_row = line.store.last_slot()
+    since = EPOCH if last_row is None else last_row - LOOK_BACK
+    line.archive.mend(since)
+    mend_undated(line)
+    measure_orphans(line, since)
+    account_for_lost(line)
+    # Late rows take their time; what was missed meanwhile has the same cause.
+    return close_gap(line, schedule, cause, detail)
+
+
+def close_gap(line: Pipeline, schedule: Schedule, cause: GapCause, detail: str) -> datetime | None:
+    """Put the slots since the last finished one, up to the next one, into a gap.
+
+    Gives the last slot accounted for, None when the record has not begun. Raises StoreError.
+    """
+    finished = _mark_time(line.store, Mark.HEARTBEAT_UTC)
+    accounted = line.store.accounted()
+    last = accounted[1] if accounted else finished
+    if last is None:
+        return None
+    next_slot = schedule.next_slot(line.clock.now_utc(), last)
+    # A row taken by hand may lie after the last slot that the daemon finished.
+    missed = schedule.missed_between(min(last, finished or last), next_slot)
+    if missed is None:
+        return last
+    count = line.store.record_gap(
+        missed.first_utc, missed.last_utc, cause, detail, period_s=schedule.period_s
+    )
+    if count:
+        _log.warning(
+            "gap_recorded",
+            first=slot_text(missed.first_utc),
+            last=slot_text(missed.last_utc),
+            slots=count,
+            cause=cause.value,
+            detail=detail,
+        )
+    return max(last, missed.last_utc)
+
+
+def measure_orphans(line: Pipeline, since: datetime) -> int:
+    """Measure the stored pairs without a row, each recorded under its own slot; give how many.
+
+    A row that the database refuses stays an orphan. Raises StoreError when it cannot be read.
+    """
+    late = 0
+    known = line.store.measured_slots(since) | finish_moves(line, since)
+    for slot_utc in line.archive.orphans(known, since):
+        try:
+            record_late(line, slot_utc)
+        except StoreError as error:
+            _log.error("late_row_refused", slot=slot_text(slot_utc), error=str(error))
+            continue
+        except Exception:  # noqa: BLE001 - one pair must not keep every start from its slots
+            _log.exception("late_row_broke", slot=slot_text(slot_utc))
+            continue
+        late += 1
+    return late
+
+
+def mark_start(line: Pipeline, schedule: Schedule, cause: GapCause, detail: str) -> None:
+    """Note that a daemon runs: from now on its absence is a crash or a loss of power.
+
+    Why there was none before this boot is noted once for each boot. Raises StoreError.
+    """
+    accounted = line.store.accounted()
+    now_utc = line.clock.now_utc()
+    # A slot that is due just now is still to be taken.
+    now_utc = min(now_utc, schedule.next_slot(now_utc, None) - SECOND)
+    # A clock that woke in the past must not move the beginning of the next gap there.
+    finished_utc = max(now_utc, accounted[1]) if accounted else now_utc
+    marks: dict[Mark, str | None] = {
+        Mark.HEARTBEAT_UTC: instant_text(finished_utc),
+        Mark.BOOT_ID: line.machine.boot_id,
+        Mark.CLEAN_STOP_UTC: None,
+    }
+    before = read_absence(line.store)
+    if before is None or before.boot_id != line.machine.boot_id:
+        behind = accounted is not None and schedule.is_behind(now_utc, accounted[1])
+        absence = Absence(cause, detail, line.machine.boot_id, is_open=behind)
+        marks[Mark.ABSENCE] = absence_text(absence)
+    line.store.set_marks(marks)
+
+
+def mark_finished(store: Store, time_utc: datetime) -> None:
+    """Note up to when every slot has its row or gap."""
+    store.set_mark(Mark.HEARTBEAT_UTC, instant_text(time_utc))
+
+
+def mark_stop(store: Store, now_utc: datetime) -> None:
+    """Note that the daemon ended as it was told to."""
+    store.set_mark(Mark.CLEAN_STOP_UTC, instant_text(now_utc))
+
+
+def _mark_time(store: Store, mark: Mark) -> datetime | None:
+    text = store.get_mark(mark)
+    return None if text is None else datetime.fromisoformat(text)

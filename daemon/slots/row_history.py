@@ -1,0 +1,71 @@
+"""Each row held against the rows before it: those of the database, or those just computed."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from core.quality.residual_ratio import WINDOW
+from core.quality.step_detection import Continuity, Sample, sample_of, with_reasons
+from core.results import Measurement
+from core.site import QualityLimits
+from daemon.slots.measuring import ActiveCalibration
+from daemon.store.database import Store
+from daemon.store.records import BELIEVED, SLIPPED, MeasurementRecord
+
+
+class Sequence:
+    """The rows of one calibration in the order of their slots, each judged by those before."""
+
+    def __init__(
+        self,
+        calibration: ActiveCalibration,
+        limits: QualityLimits,
+        so_far: Continuity | None = None,
+    ) -> None:
+        self._setup = calibration.calibration.setup
+        self._limits = limits
+        self.so_far = so_far or Continuity()
+
+    def judge(self, slot_utc: datetime, measurement: Measurement) -> Measurement:
+        """Give the measurement with what the rows before make of it."""
+        sample = sample_of(self._setup, measurement, slot_utc.timestamp())
+        if sample is None:
+            return measurement
+        reasons, self.so_far = self.so_far.judge(sample, self._limits)
+        return with_reasons(measurement, reasons)
+
+
+def in_sequence(
+    store: Store,
+    calibration: ActiveCalibration | None,
+    limits: QualityLimits,
+    slot_utc: datetime,
+    measurement: Measurement,
+) -> Measurement:
+    """Judge a new row by the stored rows before its slot. Raises StoreError."""
+    if calibration is None or calibration.id is None or measurement.corrected is None:
+        return measurement
+    so_far = stored_continuity(store, calibration, slot_utc)
+    return Sequence(calibration, limits, so_far).judge(slot_utc, measurement)
+
+
+def stored_continuity(
+    store: Store, calibration: ActiveCalibration, slot_utc: datetime
+) -> Continuity:
+    """Give what the database knows of the rows before a slot. Raises StoreError."""
+    if calibration.id is None:
+        return Continuity()
+    setup = calibration.calibration.setup
+
+    def sample(row: MeasurementRecord) -> Sample | None:
+        return sample_of(setup, row.measurement, row.slot_utc.timestamp())
+
+    believed = store.rows_before(slot_utc, calibration.id, BELIEVED, WINDOW)
+    history = tuple(known for known in map(sample, believed) if known is not None)
+    if not believed:
+        return Continuity()
+    slipped = store.rows_before(slot_utc, calibration.id, SLIPPED, 1)
+    if not slipped or slipped[0].slot_utc < believed[-1].slot_utc:
+        return Continuity.resumed(history, None, None)
+    first = store.first_row_after(believed[-1].slot_utc, calibration.id, SLIPPED[0]) or slipped[0]
+    return Continuity.resumed(history, sample(first), sample(slipped[0]))

@@ -1,0 +1,100 @@
+"""One slot's pairs now, measured and told, and nothing recorded: `dcam-ctl capture`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime, timedelta
+from typing import Any
+
+from core.results import Measurement
+from core.site import Site
+from daemon.burst import Shot
+from daemon.commands.output import plain, result_fields
+from daemon.schedule import Schedule
+from daemon.slots.measuring import ActiveCalibration, image_pair, measure
+from daemon.slots.row_history import in_sequence
+from daemon.store.database import Store
+from drivers.protocols import CapturedFrame, CapturedPair
+
+ROOM_S = 60.0
+"""A look needs as much time before the next slot, or half a period: cameras that hang take 30 s."""
+
+
+def room_for_look(schedule: Schedule, now_utc: datetime, ended_utc: datetime | None) -> bool:
+    """Tell whether a look can neither delay the next slot nor overtake one that is due.
+
+    `ended_utc` is the last slot that was over.
+    """
+    next_utc = schedule.first_after(now_utc)
+    due_utc = next_utc - timedelta(seconds=schedule.period_s)
+    is_over = ended_utc is not None and ended_utc >= due_utc
+    if not is_over and not schedule.is_too_late(due_utc, now_utc):
+        return False
+    return (next_utc - now_utc).total_seconds() >= min(schedule.period_s / 2, ROOM_S)
+
+
+def measure_look(
+    shots: Sequence[Shot],
+    slot_utc: datetime,
+    site: Site,
+    calibration: ActiveCalibration | None,
+    store: Store | None,
+) -> Measurement:
+    """Measure pairs as a slot's row would be, held against the rows of `store`.
+
+    Raises StoreError.
+    """
+    measurement = measure((image_pair(shot.pair) for shot in shots), site, calibration)
+    if store is None:
+        return measurement
+    return in_sequence(store, calibration, site.quality, slot_utc, measurement)
+
+
+def look_fields(
+    slot_utc: datetime, measurement: Measurement, shots: Sequence[Shot]
+) -> dict[str, Any]:
+    """Give what is told of a look, in plain JSON types."""
+    pair, seen = shots[0].pair, measurement.diagnostics
+    fields: dict[str, Any] = plain(
+        {
+            "measurement": result_fields(slot_utc, measurement),
+            "pairs": len(shots),
+            "seen": {"discs": seen.discs_found, "corners": seen.corners_used},
+            **pair_fields(pair),
+        }
+    )
+    return fields
+
+
+def pair_fields(pair: CapturedPair) -> dict[str, Any]:
+    """What is told of a pair that is not measured."""
+    return {
+        "skew_s": pair.skew_s,
+        "main": frame_fields(pair.main),
+        "sub": frame_fields(pair.sub),
+    }
+
+
+def frame_fields(frame: CapturedFrame) -> dict[str, Any]:
+    """A frame's size, light and settings."""
+    return {
+        "width_px": frame.pixels.shape[1],
+        "height_px": frame.pixels.shape[0],
+        "bits": frame.bits,
+        "mean_dn": float(frame.pixels.mean()),
+        "max_dn": int(frame.pixels.max()),
+        "exposure_us": frame.exposure_us,
+        "gain_db": frame.gain_db,
+        "temperature_c": frame.temperature_c,
+    }
+
+
+def frame_text(frame: Mapping[str, Any]) -> str:
+    """A frame's fields in one line."""
+    light = frame["max_dn"] / (2 ** frame["bits"] - 1)
+    size = f"{frame['width_px']}x{frame['height_px']} px, {frame['bits']} bits"
+    parts = [f"{size}, brightest pixel at {light:.0%}"]
+    for name, unit in (("exposure_us", "us"), ("gain_db", "dB"), ("temperature_c", "°C")):
+        if frame[name] is not None:
+            parts.append(f"{frame[name]:g} {unit}")
+    return ", ".join(parts)

@@ -1,0 +1,1 @@
+"""What is known of the system now, and what is wrong with it."""

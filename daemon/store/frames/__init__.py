@@ -1,0 +1,1 @@
+"""The frame archive: images on disk, a table for each day."""

@@ -1,0 +1,1 @@
+"""Cameras that speak GenICam, through Aravis or a GenTL producer."""

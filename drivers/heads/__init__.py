@@ -1,0 +1,1 @@
+"""Pan-tilt heads on a serial line."""

@@ -1,0 +1,89 @@
+"""What is foreseen from a drawing against what simulated sites, built otherwise, then measure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks import sites
+from core.arrays import FloatArray
+from core.calibration.views import ViewRole
+from core.planning.drawing import Campaign, Drawing, ImageQuality
+from core.planning.predicted_accuracy import (
+    FrameNoise,
+    calibrate_drawing,
+    drift_rows,
+    foresee,
+    limits_of,
+)
+from core.site import QualityLimits
+
+SITES = 5
+QUALITY = ImageQuality(sites.CONTRAST_DN, sites.NOISE_DN, sites.BLUR_PX, fit_loss=1.0)
+"""As the simulated sites see."""
+DRIFT = QualityLimits(expected_drift_mrad=1.6, expected_drift_mm=2.4)
+"""As far as the simulated sites drift."""
+
+
+def drawn(case: sites.Case, seed: int) -> tuple[Drawing, Campaign]:
+    """A simulated site as drawn, and its calibration."""
+    site = replace(sites.make_site(case, seed)[0], quality=DRIFT)
+    taken = list(sites.shots(case, site, seed))
+    positions = tuple(shot.head_deg for shot in taken if shot.role is ViewRole.RIG)
+    lens_views = sum(shot.role is ViewRole.INTRINSICS for shot in taken)
+    return Drawing(site, QUALITY), Campaign(lens_views, positions)
+
+
+def told_mm(rows: Sequence[sites.Row]) -> FloatArray:
+    """(2,) rms of the sigmas that rows carry."""
+    return np.sqrt(np.mean([np.diag(row.covariance_mm2) for row in rows], axis=0))
+
+
+def foreseen_mm(case: sites.Case, seed: int) -> FloatArray:
+    """(2,) sigma of x and y for the rig anywhere within the drift."""
+    drawing, campaign = drawn(case, seed)
+    setup = calibrate_drawing(drawing, campaign)
+    noise = FrameNoise(0.0, 0.0) if case.quiet_rows else FrameNoise()
+    return foresee(drift_rows(drawing, setup), setup.posterior, noise).drifted_mm
+
+
+@pytest.mark.parametrize("kind", ["lab", "field"])
+def test_sites_measure_as_foreseen(kind: sites.Kind) -> None:
+    """Each site's rows say the sigma that was foreseen; together they err by as much."""
+    case = sites.Case(kind, shrink=4.0)
+    errors = []
+    for seed in range(1, SITES + 1):
+        foreseen = foreseen_mm(case, seed)
+        rows = sites.run_numbers(case, seed).rows
+        assert foreseen == pytest.approx(told_mm(rows), rel=0.2)
+        errors.append([row.error_mm / foreseen for row in rows])
+    assert 1.0 / 1.5 < np.sqrt(np.mean(np.square(errors))) < 1.5
+
+
+@pytest.mark.parametrize("kind", ["lab", "field"])
+def test_calibrations_know_as_much_as_foreseen(kind: sites.Kind) -> None:
+    """Likewise the calibration's part alone, mostly smaller than a row's own noise."""
+    case = sites.Case(kind, shrink=4.0, quiet_rows=True)
+    for seed in (1, 2, 3):
+        ratio = foreseen_mm(case, seed) / told_mm(sites.run_numbers(case, seed).rows)
+        assert (ratio > 1.0 / 1.5).all()
+        assert (ratio < 1.5).all()
+
+
+def test_a_cause_taken_away_leaves_what_was_said() -> None:
+    """What is foreseen without a cause is foreseen of a site that has it not."""
+    drawing, campaign = drawn(sites.Case("field", shrink=4.0), 1)
+    setup = calibrate_drawing(drawing, campaign)
+    rows = drift_rows(drawing, setup)
+    now = foresee(rows, setup.posterior).typical_mm
+    without = {limit.cause: limit.without_mm for limit in limits_of(drawing, setup, rows)}
+    known = replace(drawing.site.rig, rotation_sigma_deg=1e-5)
+    other = replace(drawing, site=replace(drawing.site, rig=known))
+    again = calibrate_drawing(other, campaign)
+    left = foresee(drift_rows(other, again), again.posterior).typical_mm
+    assert left < 0.99 * now
+    assert without["rotation between the cameras"] == pytest.approx(left, rel=1e-3)
+    assert min(without, key=without.__getitem__) == "noise of a frame's pose (sub-camera)"

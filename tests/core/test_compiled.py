@@ -1,0 +1,91 @@
+"""Compiled loops are kept from one process to the next; what keeps them from it stops nobody."""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from core.compiled import kept_on_disk
+
+ROOT = Path(__file__).parents[2]
+LOOP = """
+from core.compiled import kept_on_disk
+
+@kept_on_disk(nogil=True)
+def add_one(number):
+    return number + 1
+
+print(add_one(1), sum(add_one.stats.cache_hits.values()))
+"""
+
+
+class Program:
+    """One that runs a compiled loop, and where Numba is to keep it."""
+
+    def __init__(self, directory: Path) -> None:
+        self._file, self.cache = directory / "loop.py", directory / "cache"
+        self._file.write_text(LOOP)
+        self.limit = resource.RLIM_INFINITY
+        """Bytes that a file may have; more is refused as on a full disk."""
+
+    def run(self) -> list[int]:
+        """Give what the loop gives, and how often it was found compiled."""
+        environ = os.environ | {"NUMBA_CACHE_DIR": str(self.cache), "PYTHONPATH": str(ROOT)}
+        command = [sys.executable, "-B", str(self._file)]
+        done = subprocess.run(
+            command,
+            env=environ,
+            capture_output=True,
+            text=True,
+            check=False,
+            preexec_fn=self._limit_files,
+        )
+        assert done.returncode == 0, done.stderr
+        return [int(word) for word in done.stdout.split()]
+
+    def _limit_files(self) -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (self.limit, self.limit))
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Program:
+    return Program(tmp_path)
+
+
+def test_a_loop_is_compiled_once(program: Program) -> None:
+    assert program.run() == [2, 0]
+    assert program.run() == [2, 1]
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+@pytest.mark.parametrize("left", [0, 20])
+def test_files_that_a_power_cut_left_short_are_made_anew(
+    program: Program, suffix: str, left: int
+) -> None:
+    """Numba does not sync them; each is there with its name, and empty or half."""
+    program.run()
+    files = list(program.cache.rglob(f"*{suffix}"))
+    assert files
+    for file in files:
+        os.truncate(file, left)
+    assert program.run() == [2, 0]
+    assert program.run() == [2, 1]
+
+
+def test_a_loop_that_cannot_be_kept_runs_all_the_same() -> None:
+    """Text that comes from no file has nowhere to be kept."""
+    names: dict[str, Callable[[int], int]] = {}
+    exec("def add_one(number):\n    return number + 1\n", names)
+    assert kept_on_disk()(names["add_one"])(1) == 2
+
+
+def test_a_full_disk_costs_the_keeping_only(program: Program) -> None:
+    """A file may be made, and nothing written to it."""
+    program.limit = 0
+    assert program.run() == [2, 0]

@@ -1,0 +1,195 @@
+"""A simulated site, its frame set and a calibrated state; a site whose record is made by hand."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.calibration.calibrate import CalibrationReport
+from core.results import Displacement, Flag, Measurement, Reason, RigMotion
+from daemon.config.reading import load_config
+from daemon.ctl import cli
+from daemon.error_report import run
+from daemon.lock import sole_writer
+from daemon.store.database import Store, open_store
+from daemon.store.records import CalibrationRecord, CameraState, GapCause, MeasurementRecord
+from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
+from drivers.sim.settings import SimSettings
+from tests.laboratory import laboratory
+
+CONFIG = laboratory(640)
+"""The laboratory site on sensors of a third of the pixels; no backend, as for `--from`."""
+
+SEED = 3
+"""Of the frame set; the board's squares are only 13 px wide, as hard as it gets."""
+
+SIMULATED = (
+    CONFIG.replace("width_px", 'backend = "simulated"\nwidth_px')
+    + f"""
+[simulation]
+seed = {SEED}
+start_utc = 2026-03-01T00:00:00Z
+"""
+)
+"""The same site with simulated cameras, head and clock."""
+
+PLAN = FrameSetPlan(intrinsics=8, rig=12, measure=4)
+
+
+@dataclass(frozen=True, slots=True)
+class Ran:
+    """What a command did, as seen from outside."""
+
+    code: int
+    out: str
+    err: str
+
+
+Ctl = Callable[..., Ran]
+
+
+@pytest.fixture
+def ctl(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Ctl:
+    """`dcam-ctl` with these arguments, in an environment without our variables."""
+    monkeypatch.delenv("DCAM_CONFIG", raising=False)
+    monkeypatch.delenv("DCAM_STATE", raising=False)
+
+    def ran(*arguments: object) -> Ran:
+        capfd.readouterr()
+        code = run(cli, "dcam-ctl", [str(argument) for argument in arguments])
+        out, err = capfd.readouterr()
+        return Ran(int(code), out, err)
+
+    return ran
+
+
+@pytest.fixture(scope="session")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with `dcam.toml`, the frame set `set/` and its `truth.csv`; not to be changed."""
+    directory = tmp_path_factory.mktemp("bench")
+    (directory / "dcam.toml").write_text(CONFIG)
+    site = load_config(directory / "dcam.toml").site()
+    write_frame_set(directory / "set", site, SimSettings(seed=SEED), PLAN)
+    return directory
+
+
+@pytest.fixture(scope="session")
+def calibrated(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A state with a calibration made on the frame set; not to be changed."""
+    state = tmp_path_factory.mktemp("calibrated") / "state"
+    arguments = ["--config", bench / "dcam.toml", "--state", state]
+    command = ["calibrate", "--from", bench / "set", "--accept"]
+    assert run(cli, "dcam-ctl", [str(word) for word in (*arguments, *command)]) == 0
+    return state
+
+
+@pytest.fixture
+def own_set(bench: Path, tmp_path: Path) -> Path:
+    """A copy of the frame set that a test may damage."""
+    return Path(shutil.copytree(bench / "set", tmp_path / "set"))
+
+
+def rows_of(table: Path) -> list[dict[str, str]]:
+    """The rows of a CSV file."""
+    with table.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def edit_table(directory: Path, change: Callable[[list[str]], list[str]]) -> None:
+    """Rewrite `frames.csv` of a set, line by line."""
+    table = directory / "frames.csv"
+    table.write_text("\n".join(change(table.read_text().splitlines())) + "\n")
+
+
+START = datetime(2026, 3, 1, tzinfo=UTC)
+MINUTE = timedelta(minutes=1)
+GOOD = Measurement(
+    Flag.GOOD,
+    (),
+    Displacement(np.array([0.5, -1.25]), np.diag([0.01, 0.04])),
+    Displacement(np.array([7.0, 9.0]), np.diag([0.01, 0.04])),
+    RigMotion(np.zeros(3), np.zeros(3), np.eye(6)),
+)
+DARK = Measurement(Flag.BAD, (Reason.TOO_DARK,), None, None, None)
+
+
+class Site:
+    """A state with an hour of rows, to be changed by a test and looked at from outside."""
+
+    def __init__(self, directory: Path, ctl: Ctl) -> None:
+        self._ctl = ctl
+        self.config = directory / "dcam.toml"
+        self.state = directory / "state"
+        self.config.write_text(SIMULATED)
+        self.end = START
+
+    def write(self, change: Callable[[Store], None]) -> None:
+        """Change the database."""
+        with open_store(self.state) as store:
+            change(store)
+
+    def measure(
+        self,
+        minutes: int,
+        measurement: Measurement = GOOD,
+        frame: str | None = "frames/kept.png",
+        **more: CameraState,
+    ) -> None:
+        """Add a row a minute; without a frame where the disk had no room for it."""
+        hash_ = load_config(self.config).config_hash()
+        for _ in range(minutes):
+            record = MeasurementRecord(
+                self.end, measurement, hash_, "1.0", main_frame=frame, sub_frame=frame, **more
+            )
+            self.write(lambda store, row=record: store.add_measurement(row))
+            self.end += MINUTE
+
+    def miss(self, minutes: int, cause: GapCause) -> None:
+        """Add a gap."""
+        first, self.end = self.end, self.end + minutes * MINUTE
+        last = self.end - MINUTE
+        self.write(lambda store: store.record_gap(first, last, cause, "why", period_s=60) or None)
+
+    def calibrate(self, *, passed: bool = True, config_hash: str | None = None) -> None:
+        """Add an active calibration."""
+        record = CalibrationRecord(
+            created_utc=START,
+            content={"method": "rigid"},
+            report=CalibrationReport(passed, ("the verdict",), {}),
+            config_hash=config_hash or load_config(self.config).config_hash(),
+            version="1.0",
+        )
+        self.write(lambda store: store.add_calibration(record, activate=True) and None)
+
+    def ctl(self, *arguments: object) -> Ran:
+        """Run a command on this site."""
+        return self._ctl("--config", self.config, "--state", self.state, *arguments)
+
+    def status(self, late: timedelta = timedelta(seconds=30), *, running: bool = True) -> Ran:
+        """`status --json` so long after the last slot, beside a daemon that holds the lock."""
+        at = (self.end - MINUTE + late).isoformat()
+        if not running:
+            return self.ctl("status", "--json", "--at", at)
+        with sole_writer(self.state):
+            return self.ctl("status", "--json", "--at", at)
+
+    def levels(self, ran: Ran) -> dict[str, str]:
+        """The level of each item."""
+        return {item["name"]: item["level"] for item in json.loads(ran.out)["items"]}
+
+
+@pytest.fixture
+def site(tmp_path: Path, ctl: Ctl) -> Site:
+    """A calibrated site with ten good rows."""
+    made = Site(tmp_path, ctl)
+    made.calibrate()
+    made.measure(10)
+    return made

@@ -1,0 +1,360 @@
+"""`dcam-ctl alarm` tells real receivers: once, again while it lasts, and when it is over."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from datetime import timedelta
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+
+from daemon.alarm import receivers
+from daemon.clock.machine import read_boot_id, uptime_s
+from daemon.control.run_state import RunState, write_run_state
+from daemon.lock import sole_writer
+from daemon.store.records import Mark
+from tests.daemon.commands.conftest import GOOD, MINUTE, SIMULATED, START, Ran, Site
+
+
+class Inbox:
+    """Where messages arrive: a program of the site's own appends each to a file."""
+
+    def __init__(self, directory: Path) -> None:
+        self._file = directory / "inbox"
+        self._program = directory / "modem.py"
+        self.accept()
+
+    @property
+    def command(self) -> str:
+        return json.dumps([sys.executable, str(self._program)])
+
+    def accept(self) -> None:
+        write = f"open({str(self._file)!r}, 'a').write(sys.stdin.read() + '\\0')"
+        self._program.write_text(f"import sys; {write}\n")
+
+    def refuse(self) -> None:
+        self._program.write_text("import sys; sys.exit('no carrier')\n")
+
+    def messages(self) -> list[str]:
+        return self._file.read_text().split("\0")[:-1] if self._file.exists() else []
+
+    def titles(self) -> list[str]:
+        return [message.splitlines()[0] for message in self.messages()]
+
+
+class Mailbox:
+    """An HTTP server that Apprise's `json://` talks to."""
+
+    def __init__(self) -> None:
+        self.messages: list[dict[str, str]] = []
+        self.status = 200
+        box = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_POST(self) -> None:
+                body = self.rfile.read(int(self.headers["Content-Length"]))
+                box.messages.append(json.loads(body))
+                self.send_response(box.status)
+                self.end_headers()
+
+            def log_message(self, *_words: object) -> None:
+                """Say nothing."""
+
+        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.url = f"json://127.0.0.1:{self.server.server_port}"
+
+
+@pytest.fixture
+def mailbox() -> Iterator[Mailbox]:
+    """A receiver on the loopback network."""
+    box = Mailbox()
+    thread = threading.Thread(target=box.server.serve_forever)
+    thread.start()
+    yield box
+    box.server.shutdown()
+    box.server.server_close()
+    thread.join()
+
+
+@pytest.fixture
+def inbox(site: Site, tmp_path: Path) -> Inbox:
+    """The site tells a program, which accepts."""
+    made = Inbox(tmp_path)
+    configure(site, f"command = {made.command}")
+    return made
+
+
+def configure(site: Site, alarm: str) -> None:
+    site.config.write_text(f"{SIMULATED}\n[alarm]\n{alarm}\n")
+
+
+def look(site: Site, *words: object, late: timedelta = timedelta(0), running: bool = True) -> Ran:
+    """One look after the newest row, beside a dcamd that runs, or none."""
+    at = (site.end - MINUTE + late).isoformat()
+    if not running:
+        return site.ctl("alarm", "--at", at, *words)
+    with sole_writer(site.state):
+        return site.ctl("alarm", "--at", at, *words)
+
+
+def die(site: Site) -> None:
+    """Leave what a dcamd leaves that did not stop in order."""
+    site.write(lambda store: store.set_mark(Mark.HEARTBEAT_UTC, START.isoformat()))
+
+
+def test_without_receivers_one_line_and_all_is_well(site: Site) -> None:
+    ran = site.ctl("alarm")
+    assert (ran.code, ran.err) == (0, "")
+    assert ran.out == "nobody to tell: [alarm] in the config names neither urls nor a command\n"
+    assert not (site.state / "alarm.json").exists()
+
+
+def test_a_dead_daemon_is_told_once_again_while_it_lasts_and_when_it_is_over(
+    site: Site, inbox: Inbox
+) -> None:
+    configure(site, f"command = {inbox.command}\nrepeat_h = 0.5")
+    die(site)
+    assert look(site, running=False).code == 0  # 00:09
+    site.measure(14)
+    look(site, running=False)
+    assert inbox.messages() == []
+    site.measure(1)
+    look(site, running=False)  # 00:24
+    (message,) = inbox.messages()
+    headline, line = message.splitlines()
+    assert headline == "dcam bench: CRITICAL"
+    told = "daemon: critical since 2026-03-01T00:09:00Z (15 min): not running, died after 2026-03-0"
+    assert line.startswith(told)
+    for minutes in (5, 24):
+        site.measure(minutes)
+        look(site, running=False)
+    assert len(inbox.messages()) == 1
+    site.measure(1)
+    look(site, running=False)  # 00:54
+    assert inbox.titles()[1:] == ["dcam bench: still CRITICAL"]
+    site.measure(1)
+    for _ in range(2):
+        ran = look(site)
+        assert (ran.code, ran.out) == (0, "nothing is wrong\n")
+    assert inbox.titles()[2:] == ["dcam bench: all well again"]
+
+
+def test_a_daemon_that_hangs_and_data_that_stopped_are_told(site: Site, inbox: Inbox) -> None:
+    state = RunState(os.getpid(), read_boot_id(), "1.0", "", "running", patience_s=300.0)
+    write_run_state(site.state, replace(state, told_s=uptime_s() - 3600))
+    for late in (30 * MINUTE, 45 * MINUTE):
+        look(site, late=late)
+    (message,) = inbox.messages()
+    assert "daemon: critical since" in message
+    assert "hangs: no slot has ended for 1 h" in message
+    assert "measurement: critical since" in message
+
+
+def test_what_passes_in_time_is_not_told(site: Site, inbox: Inbox) -> None:
+    die(site)
+    look(site, running=False)
+    site.measure(10)
+    look(site)
+    site.measure(10)
+    look(site, running=False)
+    assert inbox.messages() == []
+
+
+def test_a_warning_is_told_only_where_the_config_says_so_and_once_more_if_it_gets_worse(
+    site: Site, inbox: Inbox
+) -> None:
+    site.measure(200, GOOD, frame=None)  # a warning
+    look(site)
+    look(site, late=16 * MINUTE - MINUTE)
+    assert inbox.messages() == []
+    configure(site, f'command = {inbox.command}\nlevel = "warning"\nafter_min = 0')
+    look(site)
+    look(site)
+    assert inbox.titles() == ["dcam bench: WARNING"]
+    look(site, late=5 * MINUTE)  # the last row is late: another warning
+    look(site, late=30 * MINUTE)  # lost: critical
+    assert inbox.titles()[1:] == ["dcam bench: WARNING", "dcam bench: CRITICAL"]
+
+
+def test_a_message_that_is_refused_is_told_on_stderr_and_sent_at_the_next_look(
+    site: Site, inbox: Inbox
+) -> None:
+    configure(site, f"command = {inbox.command}\nafter_min = 0")
+    die(site)
+    inbox.refuse()
+    for _ in range(2):
+        ran = look(site, running=False)
+        assert ran.code == 4
+        (line,) = ran.err.splitlines()
+        assert "alarm.command did not accept 'dcam bench: CRITICAL'" in line
+        assert line.endswith("ended with code 1: no carrier")
+    inbox.accept()
+    for _ in range(2):
+        assert look(site, running=False).code == 0
+    assert inbox.titles() == ["dcam bench: CRITICAL"]
+
+
+def test_of_two_receivers_only_the_one_that_refused_is_told_again(
+    site: Site, inbox: Inbox, mailbox: Mailbox
+) -> None:
+    configure(site, f'urls = ["{mailbox.url}"]\ncommand = {inbox.command}\nafter_min = 0')
+    die(site)
+    mailbox.status = 503
+    assert look(site, running=False).code == 4
+    mailbox.status = 200
+    assert look(site, running=False).code == 0
+    assert inbox.titles() == ["dcam bench: CRITICAL"]
+    assert [message["title"] for message in mailbox.messages] == ["dcam bench: CRITICAL"] * 2
+
+
+def test_a_broken_memory_is_told_and_begun_anew(site: Site, inbox: Inbox) -> None:
+    configure(site, f"command = {inbox.command}\nafter_min = 0")
+    die(site)
+    for garbage in (b"", b"{", b"[]", b'{"since": {"daemon": 7}}', b"\xff"):
+        (site.state / "alarm.json").write_bytes(garbage)
+        ran = look(site, running=False)
+        assert ran.code == 0
+        assert f"{site.state / 'alarm.json'}: damaged: begun anew" in ran.err
+    assert len(inbox.messages()) == 5
+
+
+def test_a_disk_that_refuses_the_memory_is_told_of_once_per_boot(
+    site: Site, inbox: Inbox, tmp_path: Path, monkeypatch
+) -> None:
+    """A directory stands where the memory belongs: not even root can write a file over it."""
+    configure(site, f"command = {inbox.command}\nafter_min = 0")
+    die(site)
+    runtime = tmp_path / "run"
+    runtime.mkdir()
+    in_the_way = site.state / ".alarm.json.tmp"
+    in_the_way.mkdir()
+    assert look(site, running=False).code == 4
+    assert look(site, running=False).code == 4
+    assert len(inbox.messages()) == 2
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(runtime))
+    for _ in range(3):
+        look(site, running=False)
+    assert len(inbox.messages()) == 3
+    in_the_way.rmdir()
+    site.measure(1)
+    look(site)
+    assert inbox.titles()[-1] == "dcam bench: all well again"
+    assert list(runtime.iterdir()) == []
+
+
+def test_a_clock_that_is_set_back_neither_silences_nor_repeats(site: Site, inbox: Inbox) -> None:
+    die(site)
+    look(site, running=False)
+    site.measure(15)
+    look(site, running=False)
+    assert len(inbox.messages()) == 1
+    for minutes in (300, 299, 301):
+        look(site, late=-minutes * MINUTE, running=False)
+    assert "measurement: critical" not in inbox.messages()[-1]
+    look(site, late=-280 * MINUTE, running=False)
+    assert "is the clock wrong?" in inbox.messages()[-1]
+    assert len(inbox.messages()) == 2
+
+
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (lambda site: (site.state / "dcam.db").write_bytes(b"nothing" * 1000), "critical since"),
+        (lambda site: (site.state / "dcam.db").unlink(), "no database"),
+        (lambda site: configure_wrongly(site, "= 8.0", "= -8.0"), "diameter_mm"),
+        (lambda site: configure_wrongly(site, "kind =", "kind = ="), "not valid TOML"),
+    ],
+)
+def test_a_site_of_which_nothing_can_be_known_is_told(
+    site: Site, inbox: Inbox, damage: Callable[[Site], object], told: str
+) -> None:
+    """A database that is none, a config that is wrong: its [alarm] is read all the same."""
+    damage(site)
+    look(site)
+    ran = look(site, late=15 * MINUTE)
+    assert ran.code == 0, ran.err
+    (message,) = inbox.messages()
+    assert message.splitlines()[1].startswith("status: ")
+    assert told in message
+
+
+def configure_wrongly(site: Site, right: str, wrong: str) -> None:
+    site.config.write_text(site.config.read_text().replace(right, wrong))
+
+
+def test_an_alarm_section_that_is_wrong_is_a_config_error(site: Site) -> None:
+    configure(site, 'urls = ["json://localhost"]\nlevel = "loud"')
+    ran = look(site)
+    assert (ran.code, ran.out) == (3, "")
+    assert "alarm.level" in ran.err
+
+
+def test_what_was_told_is_still_known_while_nothing_can_be(site: Site, inbox: Inbox) -> None:
+    """A config that is wrong for a while is told of; the dead daemon not once more after it."""
+    configure(site, f"command = {inbox.command}\nafter_min = 0")
+    die(site)
+    look(site, running=False)
+    right = site.config.read_text()
+    configure_wrongly(site, "= 8.0", "= -8.0")
+    look(site, running=False)
+    site.config.write_text(right)
+    look(site, running=False)
+    assert inbox.titles() == ["dcam bench: CRITICAL", "dcam bench: UNKNOWN"]
+
+
+def test_a_trial_tells_who_accepted_it_whatever_the_site_is_like(
+    site: Site, inbox: Inbox, mailbox: Mailbox
+) -> None:
+    configure(site, f'urls = ["{mailbox.url}", "nonsense://x"]\ncommand = {inbox.command}')
+    ran = site.ctl("alarm", "--test")
+    assert ran.code == 4
+    first, second, third = ran.err.splitlines()
+    assert first.endswith("alarm.urls[0] (json) accepted 'dcam bench: test'")
+    assert "alarm.urls[1] (nonsense) did not accept" in second
+    assert third.endswith("alarm.command accepted 'dcam bench: test'")
+    (message,) = mailbox.messages
+    assert message["title"] == "dcam bench: test"
+    assert "Nothing is wrong" in message["message"]
+    assert inbox.titles() == ["dcam bench: test"]
+    configure(site, f"command = {inbox.command}")
+    assert site.ctl("alarm", "--test").code == 0
+
+
+def test_a_failure_names_its_cause_and_no_secret(site: Site, mailbox: Mailbox) -> None:
+    configure(site, f'urls = ["{mailbox.url}/?:token=hunter2"]')
+    mailbox.status = 503
+    ran = site.ctl("alarm", "--test")
+    (line,) = ran.err.splitlines()
+    assert "503" in line
+    assert "hunter2" not in line
+
+
+def test_a_program_that_hangs_is_ended_with_what_it_started(
+    site: Site, tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setattr(receivers, "DEADLINE_S", 0.5)
+    alive = tmp_path / "alive"
+    os.mkfifo(alive)
+    script = f"sleep 600 > {alive} & sleep 600 > {alive}"
+    configure(site, f"command = {json.dumps(['sh', '-c', script])}")
+    reader = os.open(alive, os.O_RDONLY | os.O_NONBLOCK)
+    ran = site.ctl("alarm", "--test")
+    assert ran.code == 4
+    assert "sh: not done in" in ran.err
+    os.set_blocking(reader, True)
+    assert os.read(reader, 1) == b""  # the last writer is gone
+    os.close(reader)
+
+
+def test_without_apprise_one_line_says_how_to_get_it(site: Site, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "apprise", None)
+    configure(site, 'urls = ["json://localhost"]')
+    ran = site.ctl("alarm", "--test")
+    assert ran.code == 4
+    assert ran.err.endswith("apprise is not installed; pip install 'dcam[alarm]'\n")

@@ -1,0 +1,316 @@
+"""`dcam-ctl calibrate` judges its result, stores it, and says what is wrong with its input."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from daemon.config.reading import load_config
+from daemon.store.database import open_store, open_store_readonly
+from drivers.frameset import encode_png, format_slot, read_frame_set
+from drivers.sim.settings import SimSettings
+from drivers.sim.world import World
+from tests.daemon.commands.conftest import CONFIG, SEED, SIMULATED, Ctl, edit_table
+
+
+def calibrate(ctl: Ctl, bench: Path, state: Path, frames: Path, *more: str):
+    """Calibrate on a frame set with the bench's config."""
+    return ctl(
+        *("--config", bench / "dcam.toml", "--state", state, "calibrate", "--from", frames, *more)
+    )
+
+
+def test_result_is_reported_stored_and_active(ctl: Ctl, calibrated: Path) -> None:
+    """The session's calibration has its report, its hash and its frame set in the database."""
+    with open_store_readonly(calibrated) as store:
+        record = store.active_calibration()
+    assert record is not None
+    assert record.report.passed
+    assert record.report.lines[0] == "calibration passed"
+    assert record.content["method"] == "rigid"
+    assert record.frames is not None
+    assert Path(record.frames).name == "set"
+
+
+def test_damaged_lens_and_rig_views_are_left_out_and_named(
+    ctl: Ctl, bench: Path, own_set: Path, tmp_path: Path
+) -> None:
+    """One truncated, one missing, one in colour, one too small: the rest is enough."""
+    rows = read_frame_set(own_set)
+    lens, rig = rows.rows_of("intrinsics"), rows.rows_of("rig")
+    truncated, missing = own_set / str(lens[1].sub), own_set / str(rig[2].main)
+    truncated.write_bytes(truncated.read_bytes()[:5000])
+    missing.unlink()
+    colour, small = own_set / str(rig[4].sub), own_set / str(rig[6].main)
+    colour.write_bytes(cv2.imencode(".png", np.zeros((400, 640, 3), np.uint8))[1].tobytes())
+    small.write_bytes(encode_png(np.zeros((200, 320), np.uint8)))
+    ran = calibrate(ctl, bench, tmp_path / "state", own_set, "--json")
+    result = json.loads(ran.out)
+    assert ran.code == 0, ran.err
+    assert result["schema"] == 1
+    assert result["passed"]
+    assert result["active"]
+    assert result["calibration"] == 1
+    assert len(result["left_out"]) == 4
+    said = "\n".join(result["lines"])
+    for path, reason in (
+        (truncated, "truncated"),
+        (missing, "not there"),
+        (colour, "colour"),
+        (small, "320x200"),
+    ):
+        assert str(path) in said
+        assert reason in said
+
+
+def test_method_paper_on_pan_and_tilt_alone_is_not_made_active(
+    ctl: Ctl, bench: Path, tmp_path: Path
+) -> None:
+    """The nine parameters are not determined: exit code 1, stored, and `--accept` overrides."""
+    state = tmp_path / "state"
+    ran = calibrate(ctl, bench, state, bench / "set", "--method", "paper")
+    assert ran.code == 1
+    assert "NOT passed" in ran.out.splitlines()[0]
+    assert "not active" in ran.out
+    with open_store_readonly(state) as store:
+        assert store.active_calibration() is None
+        assert len(store.calibrations()) == 1
+    accepted = calibrate(ctl, bench, state, bench / "set", "--method", "paper", "--accept")
+    assert accepted.code == 0
+    assert "did not pass" in accepted.err
+    with open_store_readonly(state) as store:
+        record = store.active_calibration()
+    assert record is not None
+    assert record.content["method"] == "paper"
+
+
+@pytest.mark.parametrize("method", ["rigid", "paper"])
+def test_pan_alone_is_refused_and_tilt_is_asked_for(
+    ctl: Ctl, bench: Path, own_set: Path, tmp_path: Path, method: str
+) -> None:
+    """Motions that cannot determine the model give no calibration, accepted or not."""
+    world = World(load_config(bench / "dcam.toml").site(), SimSettings(seed=SEED))
+    rows = read_frame_set(own_set).rows_of("rig")
+    for row, pan_deg in zip(rows, np.linspace(-0.15, 0.15, len(rows)), strict=True):
+        world.turn_head(float(pan_deg), 0.0)
+        (own_set / str(row.main)).write_bytes(encode_png(world.render("main", row.slot_utc)))
+        (own_set / str(row.sub)).write_bytes(encode_png(world.render("sub", row.slot_utc)))
+    ran = calibrate(ctl, bench, tmp_path / "state", own_set, "--method", method, "--accept")
+    assert ran.code == 1
+    assert "missing motion: tilt" in ran.err
+    assert len(ran.err.splitlines()) == 1
+    with open_store_readonly(tmp_path / "state") as store:
+        assert store.calibrations() == []
+
+
+def test_set_without_rig_rows_is_refused(
+    ctl: Ctl, bench: Path, own_set: Path, tmp_path: Path
+) -> None:
+    edit_table(own_set, lambda lines: [line for line in lines if ",rig," not in line])
+    ran = calibrate(ctl, bench, tmp_path / "state", own_set)
+    assert ran.code == 1
+    assert "rig" in ran.err
+    assert len(ran.err.splitlines()) == 1
+
+
+def test_set_of_measure_rows_only_is_refused(
+    ctl: Ctl, bench: Path, own_set: Path, tmp_path: Path
+) -> None:
+    edit_table(own_set, lambda lines: [lines[0], *(line for line in lines if "measure" in line)])
+    ran = calibrate(ctl, bench, tmp_path / "state", own_set)
+    assert ran.code == 1
+    assert "nothing to calibrate on" in ran.err
+
+
+def test_unreadable_reference_is_an_error_because_there_is_no_zero(
+    ctl: Ctl, bench: Path, own_set: Path, tmp_path: Path
+) -> None:
+    (reference,) = read_frame_set(own_set).rows_of("reference")
+    image = own_set / str(reference.main)
+    image.write_bytes(b"")
+    ran = calibrate(ctl, bench, tmp_path / "state", own_set)
+    assert ran.code == 4
+    assert f"{image}: an empty file" in ran.err
+
+
+def test_reference_of_another_size_is_an_error(
+    ctl: Ctl, bench: Path, own_set: Path, tmp_path: Path
+) -> None:
+    (reference,) = read_frame_set(own_set).rows_of("reference")
+    (own_set / str(reference.sub)).write_bytes(encode_png(np.zeros((480, 640), np.uint8)))
+    ran = calibrate(ctl, bench, tmp_path / "state", own_set)
+    assert ran.code == 1
+    assert "image is 640x480 px, the config says 640x400" in ran.err
+
+
+def missing_column(lines: list[str]) -> list[str]:
+    return [lines[0].replace("role,", ""), *lines[1:]]
+
+
+def duplicate_slot(lines: list[str]) -> list[str]:
+    return [*lines[:3], lines[2], *lines[3:]]
+
+
+def two_references(lines: list[str]) -> list[str]:
+    return [line.replace(",rig,", ",reference,", 1) if "0010_" in line else line for line in lines]
+
+
+def out_of_order(lines: list[str]) -> list[str]:
+    return [lines[0], lines[2], lines[1], *lines[3:]]
+
+
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (missing_column, "'role'"),
+        (duplicate_slot, "frames.csv:4"),
+        (two_references, "reference"),
+        (out_of_order, "frames.csv:3"),
+    ],
+)
+def test_damaged_table_is_named_with_what_is_wrong(
+    ctl: Ctl, bench: Path, own_set: Path, tmp_path: Path, damage, told: str
+) -> None:
+    edit_table(own_set, damage)
+    ran = calibrate(ctl, bench, tmp_path / "state", own_set)
+    assert ran.code == 4
+    assert "frames.csv" in ran.err
+    assert told in ran.err
+    assert len(ran.err.splitlines()) == 1
+    assert ran.out == ""
+
+
+def test_missing_directory_is_named(ctl: Ctl, bench: Path, tmp_path: Path) -> None:
+    ran = calibrate(ctl, bench, tmp_path / "state", tmp_path / "nowhere")
+    assert ran.code == 4
+    assert str(tmp_path / "nowhere") in ran.err
+
+
+def test_unknown_key_gives_the_nearest_name(ctl: Ctl, bench: Path, tmp_path: Path) -> None:
+    config = tmp_path / "dcam.toml"
+    config.write_text(CONFIG.replace("square_mm", "squares_mm"))
+    ran = ctl("--config", config, "calibrate", "--from", bench / "set")
+    assert ran.code == 3
+    assert "squares_mm" in ran.err
+    assert "square_mm" in ran.err
+
+
+def test_distance_in_metres_is_noticed(ctl: Ctl, bench: Path, tmp_path: Path) -> None:
+    config = tmp_path / "dcam.toml"
+    config.write_text(CONFIG.replace("distance_mm = 11000.0", "distance_mm = 11.0"))
+    ran = ctl("--config", config, "calibrate", "--from", bench / "set")
+    assert ran.code == 3
+    assert "target.main.distance_mm" in ran.err
+
+
+def test_database_of_a_newer_version_is_left_alone(ctl: Ctl, bench: Path, tmp_path: Path) -> None:
+    """Exit code 5 at once, before the calibration is computed."""
+    open_store(tmp_path).close()
+    with closing(sqlite3.connect(tmp_path / "dcam.db")) as database, database:
+        database.execute("UPDATE alembic_version SET version_num = '9999'")
+    ran = calibrate(ctl, bench, tmp_path, bench / "set")
+    assert ran.code == 5
+    assert "newer" in ran.err
+    assert ran.out == ""
+
+
+@pytest.mark.parametrize("sources", [[], ["--from", "x", "--pan-tilt"]])
+def test_one_source_of_views_must_be_named(ctl: Ctl, bench: Path, sources: list[str]) -> None:
+    ran = ctl("--config", bench / "dcam.toml", "calibrate", *sources)
+    assert ran.code == 2
+    assert "give one of --from DIR, --pan-tilt, --intrinsics" in ran.err
+
+
+def test_pan_tilt_without_a_head_is_a_clear_line(ctl: Ctl, bench: Path, tmp_path: Path) -> None:
+    config = tmp_path / "dcam.toml"
+    replay = CONFIG.replace("width_px", 'backend = "replay"\nwidth_px')
+    config.write_text(f'{replay}\n[replay]\ndirectory = "{bench / "set"}"\n')
+    ran = ctl("--config", config, "--state", tmp_path / "state", "calibrate", "--pan-tilt")
+    assert ran.code == 4
+    assert "no pan-tilt head for backend replay" in ran.err
+
+
+def test_pan_tilt_takes_views_keeps_them_and_calibrates_on_them(ctl: Ctl, tmp_path: Path) -> None:
+    """The simulated head: lens views, the zero, 21 positions and the zero twice again."""
+    config, state = tmp_path / "dcam.toml", tmp_path / "state"
+    config.write_text(SIMULATED)
+    ran = ctl("--config", config, "--state", state, "calibrate", "--pan-tilt", "--json")
+    assert ran.code == 0, ran.err
+    result = json.loads(ran.out)
+    frames = read_frame_set(Path(result["frames"]))
+    assert frames.directory.parent == state / "calibrations"
+    assert [len(frames.rows_of(r)) for r in ("intrinsics", "reference", "rig")] == [12, 1, 23]
+    assert {(row.pan_deg, row.tilt_deg) for row in frames.rows_of("reference")} == {(0.0, 0.0)}
+    assert np.ptp([row.pan_deg for row in frames.rows_of("rig")]) > 0.2
+    assert np.ptp([row.tilt_deg for row in frames.rows_of("rig")]) > 0.1
+    page = (frames.directory / "report.html").read_text()
+    report = json.loads((frames.directory / "report.json").read_text())
+    assert report["lines"] == result["lines"]
+    assert (frames.directory / "report.txt").read_text().splitlines() == result["lines"]
+    assert page.count("<svg") == 2
+    assert "http-equiv" not in page
+    assert "src=" not in page  # the page stands alone
+    for row in frames.rows_of("rig"):
+        assert f"rig {format_slot(row.slot_utc)} (" in page
+    shutil.copytree(frames.directory, tmp_path / "again")
+    again = ctl(
+        *("--config", config, "--state", state, "calibrate", "--from", tmp_path / "again"),
+        "--json",
+    )
+    for name in ("sub_rms_px", "main_rms_px", "depth_mm"):
+        figure = json.loads(again.out)["figures"][name]
+        assert figure == pytest.approx(result["figures"][name], rel=1e-9)
+
+
+def test_a_reader_that_goes_away_does_not_cost_the_calibration(bench: Path, tmp_path: Path) -> None:
+    """`calibrate | head -1`: stdout is closed before the first line of the report."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [
+        *(sys.executable, "-u", "-m", "daemon.ctl", "--config", bench / "dcam.toml"),
+        *("--state", tmp_path / "state", "calibrate", "--from", bench / "set"),
+    ]
+    with os.fdopen(writing, "w") as nobody:
+        subprocess.run(
+            command,
+            cwd=Path(__file__).parents[3],
+            stdin=subprocess.DEVNULL,
+            stdout=nobody,
+            stderr=subprocess.DEVNULL,
+            check=False,
+        )
+    with open_store_readonly(tmp_path / "state") as store:
+        assert store.active_calibration() is not None
+
+
+@pytest.mark.parametrize(("answer", "active"), [("n", False), ("", True)])
+def test_on_a_terminal_it_asks(bench: Path, tmp_path: Path, answer: str, active: bool) -> None:
+    """Run under script(1), which gives the program a terminal."""
+    state = tmp_path / "state"
+    command = (
+        f"{sys.executable} -m daemon.ctl --config {bench / 'dcam.toml'} --state {state} "
+        f"calibrate --from {bench / 'set'}"
+    )
+    ran = subprocess.run(
+        ["script", "--quiet", "--return", "--command", command, "/dev/null"],
+        cwd=Path(__file__).parents[3],
+        input=f"{answer}\n",
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stdout
+    assert "Make it the active calibration?" in ran.stdout
+    with open_store_readonly(state) as store:
+        assert (store.active_calibration() is not None) == active
+        assert len(store.calibrations()) == 1

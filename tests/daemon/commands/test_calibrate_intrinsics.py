@@ -1,0 +1,270 @@
+"""`calibrate --intrinsics`: says what to show next, keeps what is of use, and when it is enough."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from core.geometry.pose import Pose
+from core.lens.lens_coverage import COLUMNS, ENOUGH_VIEWS, ROWS, lens_coverage
+from core.site import CameraGeometry, Site
+from daemon.calibration.lens_session import Bench, latest_lens_views, take_lens_views
+from daemon.calibration.view_check import see_board
+from daemon.commands import demo
+from daemon.config.reading import load_config
+from drivers.frameset import read_frame_set, write_table
+from drivers.protocols import CapturedFrame, CapturedPair, Image
+from drivers.sim.settings import SimSettings
+from drivers.sim.world import World
+from tests.daemon.commands.conftest import SEED, SIMULATED, Ctl
+from tests.daemon.commands.test_calibrate_pan_tilt import ROOT, Watched, watched
+
+CAMERA = CameraGeometry(width_px=600, height_px=400, pixel_pitch_um=5.86, focal_length_mm=6.0)
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "dcam.toml"
+    path.write_text(SIMULATED)
+    return path
+
+
+def tilted(about: str, deg: float) -> Pose:
+    axis = {"x": [1.0, 0.0, 0.0], "y": [0.0, 1.0, 0.0]}[about]
+    return Pose.from_vectors(np.radians(deg) * np.array(axis), np.array([0.0, 0.0, 50.0]))
+
+
+EVERYWHERE = np.array(
+    [
+        [(i + 0.5) * 600 / COLUMNS, (j + 0.5) * 400 / ROWS]
+        for i in range(COLUMNS)
+        for j in range(ROWS)
+    ]
+)
+ALL_WAYS = [tilted(about, deg) for about in "xy" for deg in (20.0, 20.0, -20.0, -20.0)]
+
+
+@pytest.mark.parametrize(
+    ("missing", "asked"),
+    [
+        # About y by +20 deg the board's x axis comes nearer: its left side is the far one.
+        (tilted("y", 20.0), "the left away from the camera"),
+        (tilted("y", -20.0), "the right away from the camera"),
+        (tilted("x", 20.0), "the bottom away from the camera"),
+        (tilted("x", -20.0), "the top away from the camera"),
+    ],
+)
+def test_the_tilt_that_is_missing_is_asked_for(missing: Pose, asked: str) -> None:
+    poses = [pose for pose in ALL_WAYS if not np.allclose(pose.R, missing.R)]
+    far = missing.apply(np.array([[30.0, 0, 0], [-30.0, 0, 0], [0, 30.0, 0], [0, -30.0, 0]]))
+    sides = ["the right", "the left", "the bottom", "the top"]
+    assert sides[int(far[:, 2].argmax())] in asked  # the words mean what they say
+    wishes = lens_coverage([EVERYWHERE] * len(poses), poses, CAMERA).wishes
+    assert len(wishes) == 1
+    assert asked in wishes[0]
+
+
+@pytest.mark.parametrize(
+    ("keep", "asked"),
+    [
+        (EVERYWHERE[:, 0] < 400, "centre right"),
+        (EVERYWHERE[:, 0] > 200, "centre left"),
+        ((EVERYWHERE[:, 0] < 400) | (EVERYWHERE[:, 1] > 140), "top right"),
+    ],
+)
+def test_the_part_of_the_image_that_is_missing_is_asked_for(keep: np.ndarray, asked: str) -> None:
+    wishes = lens_coverage([EVERYWHERE[keep]] * 12, [*ALL_WAYS, *ALL_WAYS[:4]], CAMERA).wishes
+    assert len(wishes) == 1
+    assert f"to the {asked} of the sub image" in wishes[0]
+
+
+def test_when_all_is_covered_only_the_number_counts() -> None:
+    poses = [*ALL_WAYS, *ALL_WAYS]
+    for number in range(8, ENOUGH_VIEWS + 1):
+        wishes = lens_coverage([EVERYWHERE] * number, poses[:number], CAMERA).wishes
+        assert bool(wishes) == (number < ENOUGH_VIEWS)
+
+
+def test_it_goes_on_until_the_views_are_enough_and_says_so(
+    ctl: Ctl, config: Path, tmp_path: Path
+) -> None:
+    state = tmp_path / "state"
+    ran = ctl("--config", config, "--state", state, "calibrate", "--intrinsics")
+    assert ran.code == 0, ran.err
+    assert ran.out.startswith("lens views are enough\n")
+    told = [line for line in ran.err.splitlines() if line.startswith("dcam-ctl: view")]
+    assert all("; next: " in line for line in told[:-1])
+    assert told[-1].endswith("; enough")
+    frames = latest_lens_views(state)
+    assert len(frames.rows) == len(told) >= ENOUGH_VIEWS
+    assert str(frames.directory) in ran.out
+    judged = ctl(
+        "--config", config, "calibrate", "--intrinsics", "--from", frames.directory, "--json"
+    )
+    assert judged.code == 0
+    result = json.loads(judged.out)
+    assert result["enough"]
+    elsewhere = ctl("--config", config, "calibrate", "--intrinsics", "--from", frames.directory)
+    assert f"calibrate --pan-tilt --lens-views {frames.directory} uses them" in elsewhere.out
+    true_focal_px = 6000.0 / 17.58  # the rig as built is within 1.5 % of the drawing
+    assert result["lens"]["alpha"] == pytest.approx(true_focal_px, rel=0.015)
+    assert result["lens_sigma"][0] < 0.002 * true_focal_px
+
+
+def test_too_few_views_are_told_with_what_is_missing(ctl: Ctl, bench: Path, tmp_path: Path) -> None:
+    """Of a set's lens views all but four are gone, and one image is damaged."""
+    shutil.copytree(bench / "set", tmp_path / "set")
+    lens = read_frame_set(tmp_path / "set").rows_of("intrinsics")[:5]
+    write_table(tmp_path / "set", lens)
+    (tmp_path / "set" / lens[4].sub).write_bytes(b"no image")
+    ran = ctl(
+        *("--config", bench / "dcam.toml", "--state", tmp_path / "state"),
+        *("calibrate", "--intrinsics", "--from", tmp_path / "set"),
+    )
+    assert ran.code == 1
+    first, second, third, *_ = ran.out.splitlines()
+    assert first.startswith("lens views are NOT enough; ")
+    assert second.startswith("4 views used, 1 left out")
+    assert lens[4].sub in third
+
+
+@pytest.fixture
+def held(config: Path) -> Watched:
+    made = watched(config)
+    made.move_to(0.0, 0.0)
+    made.rig = replace(made.rig, hold_board=made.world.hold_board)
+    return made
+
+
+def bench_of(held: Watched) -> Bench:
+    rig = held.rig
+    return Bench(rig.site, rig.source, rig.clock, rig.hold_board)
+
+
+def test_a_board_that_is_not_moved_on_is_kept_once(held: Watched, tmp_path: Path) -> None:
+    held.rig = replace(
+        held.rig, hold_board=lambda number: held.world.hold_board((number or 0) // 3)
+    )
+    said: list[str] = []
+    directory = take_lens_views(bench_of(held), tmp_path, lambda _covered, text: said.append(text))
+    assert said[0] == "view 1 kept"
+    assert said[1] == said[2] == "not kept: as the view before; hold the board another way"
+    assert said[3] == "view 2 kept"
+    assert len(read_frame_set(directory).rows) == sum("kept" in t and "not" not in t for t in said)
+
+
+def test_a_moving_or_covered_board_is_not_kept(held: Watched, tmp_path: Path) -> None:
+    """At the first pose the board shakes, at the second a hand is before it."""
+
+    def spoil(_number: int, pair: CapturedPair) -> CapturedPair:
+        pixels = pair.sub.pixels.copy()
+        if pose == [0]:
+            shift_px = 5 * (held.captures % 2)
+            pixels = np.roll(pixels, shift_px, axis=1)
+        if pose == [1]:
+            pixels[:, :450] = 90
+        return replace(pair, sub=replace(pair.sub, pixels=pixels))
+
+    pose: list[int] = []
+
+    def hold(number: int | None) -> None:
+        pose[:] = [] if number is None else [number]
+        held.world.hold_board(number)
+
+    held.spoil = spoil
+    held.rig = replace(held.rig, hold_board=hold)
+    said: list[str] = []
+    take_lens_views(bench_of(held), tmp_path, lambda _covered, text: said.append(text))
+    assert said[0] == "not kept: the board moves; hold it still"
+    assert said[1].startswith("not kept: no checkerboard")
+    assert said[2] == "view 1 kept"
+
+
+@pytest.fixture(scope="module")
+def full_size_board() -> tuple[Site, Image]:
+    """A board in the hand as the demo's sub-camera sees it, sharp."""
+    site = load_config(demo.SITE).site()
+    world = World(site, SimSettings(seed=SEED))
+    world.hold_board(2)
+    return site, world.render("sub", datetime(2026, 2, 28, tzinfo=UTC))
+
+
+@pytest.mark.parametrize(("blur_px", "kept"), [(2.0, True), (3.5, False)])
+def test_a_blurred_board_is_not_kept(
+    full_size_board: tuple[Site, Image], blur_px: float, kept: bool
+) -> None:
+    site, sharp = full_size_board
+    blurred = cv2.GaussianBlur(sharp, (0, 0), blur_px)
+    frame = CapturedFrame(blurred, 8, 1, 1, 0.0)
+    problems = see_board(CapturedPair(frame, frame, 0.0), site).problems
+    if kept:
+        assert problems == ()
+    else:
+        (problem,) = problems
+        assert problem.startswith("sub camera: edges are 3.")
+        assert "focus the lens" in problem
+
+
+def test_the_head_calibration_uses_the_latest_lens_views(
+    ctl: Ctl, config: Path, tmp_path: Path
+) -> None:
+    state = tmp_path / "state"
+    assert ctl("--config", config, "--state", state, "calibrate", "--intrinsics").code == 0
+    lens = latest_lens_views(state)
+    ran = ctl("--config", config, "--state", state, "calibrate", "--pan-tilt", "--json")
+    assert ran.code == 0, ran.err
+    frames = read_frame_set(Path(json.loads(ran.out)["frames"]))
+    assert len(frames.rows_of("intrinsics")) == len(lens.rows)
+
+
+def test_lens_views_that_were_broken_off_do_not_replace_whole_ones(
+    ctl: Ctl, config: Path, tmp_path: Path
+) -> None:
+    """SIGTERM after the first view of a second session; it says that it will not go on."""
+    arguments = ["--config", str(config), "--state", str(tmp_path / "state")]
+    assert ctl(*arguments, "calibrate", "--intrinsics").code == 0
+    whole = latest_lens_views(tmp_path / "state")
+    second = Path(f"{whole.directory}-2")
+    with subprocess.Popen(
+        [sys.executable, "-m", "daemon.ctl", *arguments, "calibrate", "--intrinsics"],
+        cwd=ROOT,
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as program:
+        while program.poll() is None and not (second / "frames.csv").exists():
+            pass
+        program.send_signal(signal.SIGTERM)
+        _, err = program.communicate(timeout=60)
+    assert program.returncode == 1
+    assert err.splitlines()[-1].endswith("too few to be used; the same command begins anew")
+    assert read_frame_set(second).rows_of("intrinsics")
+    assert latest_lens_views(tmp_path / "state").directory == whole.directory
+
+
+@pytest.mark.parametrize("option", ["--fresh", "--without-lens-views"])
+def test_what_is_for_the_head_is_refused_with_the_board_in_the_hand(
+    ctl: Ctl, config: Path, option: str
+) -> None:
+    ran = ctl("--config", config, "calibrate", "--intrinsics", option)
+    assert ran.code == 2
+    assert "go with --pan-tilt" in ran.err
+
+
+def test_a_real_rig_without_lens_views_is_told_to_take_them(ctl: Ctl, tmp_path: Path) -> None:
+    config = tmp_path / "dcam.toml"
+    text = SIMULATED.replace('"simulated"', '"aravis"')
+    for serial in ("111", "222"):
+        text = text.replace('"aravis"\nwidth', f'"aravis"\nserial = "{serial}"\nwidth', 1)
+    config.write_text(text + '[pan_tilt]\nbackend = "ptu"\nport = "/dev/null"\n')
+    ran = ctl("--config", config, "--state", tmp_path / "state", "calibrate", "--pan-tilt")
+    assert ran.code == 2
+    assert "dcam-ctl calibrate --intrinsics" in ran.err

@@ -1,0 +1,110 @@
+"""`dcam-ctl demo` runs the whole system and ends with the error against the truth and a figure."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.results import Displacement, Flag, Measurement, Reason, RigMotion
+from daemon.commands import demo
+from daemon.config.reading import load_config
+from daemon.reports.figure import GapSpan, draw, series_of
+from tests.daemon.commands.conftest import Ctl
+
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.fixture
+def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The demo's site on sensors of half the pixels, for its first 24 slots."""
+    text = demo.SITE.read_text()
+    for full, half in (("1920", "960"), ("1200\npixel", "600\npixel"), ("5.86", "11.72")):
+        text = text.replace(full, half)
+    site = tmp_path / "small.toml"
+    site.write_text(text)
+    monkeypatch.setattr(demo, "SITE", site)
+    monkeypatch.setattr(demo, "SLOTS", 24)
+    return tmp_path / "demo"
+
+
+def test_the_demo_site_is_a_valid_config_with_the_whole_story() -> None:
+    config = load_config(demo.SITE)
+    kinds = {scenario.kind for scenario in config.simulation.scenarios}
+    assert {"drift", "bridge", "night", "camera_loss", "insect_main", "insect_sub"} <= kinds
+    assert demo.SLOTS >= 60
+    assert demo.SLOTS * config.schedule.period_s == 86400
+
+
+def test_the_demo_calibrates_runs_and_compares_with_the_truth(ctl: Ctl, small: Path) -> None:
+    """Status, coverage, gaps with causes, errors and a figure; a second run replaces the first."""
+    ran = ctl("demo", "--output", small)
+    assert ran.code == 0, ran.err
+    assert "calibration passed" in ran.out
+    assert "DCAM " in ran.out
+    assert "Coverage: " in ran.out
+    assert "camera_lost" in ran.out
+    (gaps,) = (line for line in ran.out.splitlines() if "gap(s)" in line)
+    assert gaps == "1 gap(s), 5 slots missed"
+    table = {
+        line.split("  ")[0]: line.split()[-2:]
+        for line in ran.out.splitlines()
+        if line.startswith(("raw ", "corrected "))
+    }
+    assert float(table["raw"][0]) > 3.0
+    assert float(table["corrected"][0]) < 0.5
+    assert (small / "demo.png").read_bytes().startswith(PNG)
+    assert "event=stopped" in (small / "dcamd.log").read_text()
+    status = ctl("--config", small / "dcam.toml", "status", "--json", "--at", "2026-03-01T14:00Z")
+    assert json.loads(status.out)["coverage_24h"]["unaccounted"] == 0
+
+
+def test_a_directory_with_something_else_in_it_is_left_alone(ctl: Ctl, tmp_path: Path) -> None:
+    (tmp_path / "state").mkdir()
+    (tmp_path / "dcam.toml").write_text("# the config of a real site")
+    ran = ctl("demo", "--output", tmp_path)
+    assert ran.code == 2
+    assert "holds something else" in ran.err
+    assert (tmp_path / "state").is_dir()
+
+
+def test_an_earlier_demo_is_replaced(tmp_path: Path) -> None:
+    demo.prepared(tmp_path / "demo")
+    left_over = tmp_path / "demo" / "state" / "dcam.db"
+    left_over.parent.mkdir()
+    left_over.touch()
+    demo.prepared(tmp_path / "demo")
+    assert not left_over.exists()
+
+
+def test_without_matplotlib_it_says_how_to_install_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
+    assert not demo.can_draw()
+    assert "pip install 'dcam[plot]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg"])
+@pytest.mark.parametrize("known", [True, False])
+def test_figure_is_drawn_with_and_without_truth(tmp_path: Path, suffix: str, known: bool) -> None:
+    """Every flag, rows without motion, and a gap at the very end."""
+    start = datetime(2026, 3, 1, tzinfo=UTC)
+    shift = Displacement(np.array([1.0, 2.0]), np.eye(2) * 0.01)
+    motion = RigMotion(np.zeros(3), np.zeros(3), np.eye(6))
+    rows = [
+        Measurement(Flag.GOOD, (), shift, shift, motion),
+        Measurement(Flag.SUSPECT, (Reason.BLURRED,), shift, shift, motion),
+        Measurement(Flag.BAD, (Reason.TOO_DARK,), None, None, None),
+        Measurement(Flag.MISSING, (Reason.MAIN_IMAGE_MISSING,), None, None, motion),
+    ]
+    timed = [(start + timedelta(minutes=k), row) for k, row in enumerate(rows)]
+    series = series_of(timed, np.zeros((4, 2)) if known else None)
+    end = start + timedelta(minutes=4)
+    path = tmp_path / f"figure.{suffix}"
+    draw(series, [GapSpan(end, end + timedelta(minutes=2), "crash")], "title", path)
+    assert path.stat().st_size > 10_000

@@ -1,0 +1,89 @@
+"""`plot`, `report` and the file formats of `export`, of rows with and without value and a gap."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pyarrow.parquet as pq
+import pytest
+from scipy.io import netcdf_file
+
+from daemon.store.database import open_store
+from daemon.store.records import GapCause
+from tests.daemon.commands.conftest import SIMULATED, Ctl
+from tests.daemon.store.examples import START, calibration, full_record, record, slot
+
+
+@pytest.fixture
+def site(ctl: Ctl, tmp_path: Path):
+    """Rows 0 to 9, a gap of five slots, rows 15 to 19 without a value."""
+    (tmp_path / "dcam.toml").write_text(SIMULATED, encoding="utf-8")
+    with open_store(tmp_path / "state") as store:
+        number = store.add_calibration(calibration(), activate=True)
+        for minute in range(10):
+            store.add_measurement(full_record(slot(minute), calibration_id=number))
+        store.record_gap(slot(10), slot(14), GapCause.POWER_LOSS, "<the plug>", period_s=60)
+        for minute in range(15, 20):
+            store.add_measurement(record(slot(minute)))
+    paths = ("--config", tmp_path / "dcam.toml", "--state", tmp_path / "state")
+    return lambda *arguments: ctl(*arguments, *paths)
+
+
+def test_plot_draws_png_and_svg(site, tmp_path: Path) -> None:
+    ran = site("plot", "--output", tmp_path / "a.png")
+    assert (ran.code, ran.out) == (0, "")
+    assert "75.0% of 20 slots measured" in ran.err
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    assert site("plot", "--output", tmp_path / "a.svg").code == 0
+    assert ET.parse(tmp_path / "a.svg").getroot().tag.endswith("svg")
+
+
+def test_report_is_one_file_that_tells_everything(site, tmp_path: Path) -> None:
+    ran = site("report", "--output", tmp_path / "a.html")
+    assert ran.code == 0
+    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    for fact in (
+        "Slots from 2026-03-01T00:00:00Z until 2026-03-01T00:19:01Z",
+        "75.0% of 20 slots measured: 10 suspect, 5 bad, 5 in gaps",
+        "power_loss",
+        "&lt;the plug&gt;",
+        "main_target_partly_hidden",
+        "Good to 0.05 mm.",
+        "data:image/png;base64,",
+    ):
+        assert fact in page
+    assert "http://" not in page
+    assert "https://" not in page
+
+
+@pytest.mark.parametrize("command", ["plot", "report"])
+def test_a_span_without_slots_says_which_there_are(site, tmp_path: Path, command: str) -> None:
+    ran = site(command, "--since", "2030-01-01", "--output", tmp_path / "a.png")
+    assert (ran.code, ran.out) == (1, "")
+    assert "there are slots from 2026-03-01T00:00:00Z to 2026-03-01T00:19:00Z" in ran.err
+    assert not (tmp_path / "a.png").exists()
+
+
+def test_plot_to_another_kind_of_file_is_a_usage_error(site, tmp_path: Path) -> None:
+    ran = site("plot", "--output", tmp_path / "a.pdf")
+    assert ran.code == 2
+    assert "ends in .png or .svg" in ran.err
+
+
+def test_export_writes_parquet_and_netcdf(site, tmp_path: Path) -> None:
+    span = ("--until", (START + timedelta(minutes=12)).isoformat())
+    assert site("export", *span, "--format", "parquet", "--output", tmp_path / "a.pq").code == 0
+    assert pq.read_metadata(tmp_path / "a.pq").num_rows == 10
+    assert site("export", *span, "--format", "netcdf", "--output", tmp_path / "a.nc").code == 0
+    with netcdf_file(tmp_path / "a.nc", mmap=False) as file:
+        assert b"".join(file.variables["station"][:]) == b"bench"
+        assert len(file.variables["time"][:]) == 10
+
+
+@pytest.mark.parametrize("file_format", ["parquet", "netcdf"])
+def test_a_binary_table_needs_a_file(site, file_format: str) -> None:
+    ran = site("export", "--format", file_format)
+    assert (ran.code, ran.out) == (2, "")
+    assert "give --output FILE" in ran.err

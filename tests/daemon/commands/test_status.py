@@ -1,0 +1,399 @@
+"""`dcam-ctl status` judges a site as a Nagios plugin does; `gaps` and `export` read beside it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+from datetime import date, timedelta
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from daemon.clock.machine import read_boot_id, uptime_s
+from daemon.control.run_state import LastSlot, LostCamera, RunState, write_run_state
+from daemon.lock import sole_writer
+from daemon.store.records import FrameDay, GapCause, Mark
+from tests.daemon.commands.conftest import DARK, MINUTE, SIMULATED, START, Ctl, Ran, Site
+
+
+def test_a_site_that_runs_is_ok(site: Site) -> None:
+    ran = site.status()
+    assert ran.code == 0, ran.out
+    document = json.loads(ran.out)
+    assert document["schema"] == 1
+    assert document["level"] == "ok"
+    assert document["last"]["x_mm"] == 0.5
+    assert document["last"]["slot_utc"] == "2026-03-01T00:09:00Z"
+    assert document["coverage_24h"]["expected"] == document["coverage_24h"]["good"] == 10
+    assert document["calibration"] == {
+        "id": 1,
+        "created_utc": "2026-03-01T00:00:00Z",
+        "method": "rigid",
+        "passed": True,
+        "fits_config": True,
+    }
+
+
+@pytest.mark.parametrize(
+    ("late", "level", "code"),
+    [
+        (timedelta(minutes=2), "ok", 0),
+        (timedelta(minutes=4), "warning", 1),
+        (timedelta(minutes=30), "critical", 2),
+    ],
+)
+def test_age_of_the_last_row_counts(site: Site, late: timedelta, level: str, code: int) -> None:
+    site.measure(120)
+    ran = site.status(late)
+    assert site.levels(ran)["measurement"] == level
+    assert ran.code == code
+
+
+def test_rows_without_a_good_value_are_noticed(site: Site) -> None:
+    """Three hours of night: data come, but nothing that can be used."""
+    site.measure(180, DARK)
+    ran = site.status()
+    assert site.levels(ran)["measurement"] == "ok"
+    assert site.levels(ran)["last good value"] == "warning"
+    assert "too_dark" in ran.out
+
+
+def test_a_row_from_the_future_is_critical(site: Site) -> None:
+    ran = site.status(timedelta(minutes=-5))
+    assert site.levels(ran)["measurement"] == "critical"
+    assert "is the clock wrong?" in ran.out
+    assert ran.code == 2
+
+
+def test_a_lost_camera_is_critical_until_it_is_back(site: Site) -> None:
+    site.measure(200)
+    site.miss(2, GapCause.CAMERA_LOST)
+    lost = site.status()
+    assert site.levels(lost)["cameras"] == "critical"
+    site.measure(1)
+    back = site.status()
+    assert site.levels(back)["cameras"] == "ok"
+    assert "camera_lost 2026-03-01T03:30:00Z, 2 slot(s)" in back.out
+
+
+def test_low_coverage_is_a_warning(site: Site) -> None:
+    site.miss(3, GapCause.OVERRUN)
+    site.measure(7)
+    ran = site.status()
+    assert site.levels(ran)["coverage 24 h"] == "warning"
+    assert json.loads(ran.out)["coverage_24h"]["gaps"] == {"overrun": 3}
+
+
+def test_slots_that_nothing_accounts_for_are_counted(site: Site) -> None:
+    ran = site.status(timedelta(minutes=5))
+    assert json.loads(ran.out)["coverage_24h"]["unaccounted"] == 4
+
+
+@pytest.mark.parametrize(
+    ("marks", "level", "told"),
+    [
+        ({}, "warning", "never ran here"),
+        ({Mark.HEARTBEAT_UTC: START.isoformat()}, "critical", "died after 2026-03-01T00:00:00Z"),
+        (
+            {Mark.HEARTBEAT_UTC: START.isoformat(), Mark.CLEAN_STOP_UTC: START.isoformat()},
+            "warning",
+            "stopped in order",
+        ),
+    ],
+)
+def test_a_daemon_that_does_not_run_is_told_apart(
+    site: Site, marks: dict[Mark, str], level: str, told: str
+) -> None:
+    for mark, value in marks.items():
+        site.write(lambda store, m=mark, v=value: store.set_mark(m, v))
+    ran = site.status(running=False)
+    assert site.levels(ran)["daemon"] == level
+    assert told in ran.out
+
+
+def test_looking_does_not_take_the_lock_from_a_daemon_that_starts(site: Site) -> None:
+    """The lock can be taken at any time beside a status; it is only read about."""
+    site.status(running=False)
+    with sole_writer(site.state):
+        assert site.levels(site.ctl("status", "--json", "--at", site.end))["daemon"] == "ok"
+
+
+def says(site: Site, silent_s: float = 0.0, **what: object) -> Ran:
+    """`status --json` beside a daemon that last wrote this of itself."""
+    state = RunState(
+        **{"pid": os.getpid(), "boot_id": read_boot_id(), "version": "1.0", "started_utc": ""}
+        | {"phase": "running", "patience_s": 300.0, "told_s": uptime_s() - silent_s}
+        | what
+    )
+    write_run_state(site.state, state)
+    return site.status()
+
+
+def item(ran: Ran, name: str) -> tuple[str, str]:
+    (found,) = (item for item in json.loads(ran.out)["items"] if item["name"] == name)
+    return found["level"], found["text"]
+
+
+def test_what_the_daemon_does_now_is_told(site: Site) -> None:
+    ran = says(site, phase="recovering", silent_s=20.0)
+    assert item(ran, "daemon") == ("ok", "recovering, 20 s ago")
+    assert json.loads(ran.out)["daemon"]["says"]["phase"] == "recovering"
+    ran = says(site, phase="paused", reason="calibration (pid 7)")
+    assert item(ran, "daemon") == ("ok", "paused, 0 s ago: calibration (pid 7)")
+
+
+def test_a_daemon_that_runs_but_ends_no_slot_is_critical(site: Site) -> None:
+    level, text = item(says(site, silent_s=3600.0), "daemon")
+    assert (level, text[:36]) == ("critical", "hangs: no slot has ended for 1 h; jo")
+
+
+@pytest.mark.parametrize(
+    "stale", [{"pid": 2**22 + 1}, {"boot_id": "another"}, {"phase": "dancing"}, {"told_s": "soon"}]
+)
+def test_what_an_earlier_daemon_left_is_not_believed(site: Site, stale: dict) -> None:
+    ran = says(site, silent_s=3600.0, **stale)
+    assert item(ran, "daemon") == ("ok", "running")
+
+
+@pytest.mark.parametrize("garbage", [b"", b"{", b"[]", b"{}", b"\xff", b'{"schema": 1}', b"null"])
+def test_a_state_file_that_is_none_is_no_obstacle(site: Site, garbage: bytes) -> None:
+    (site.state / "state.json").write_bytes(garbage)
+    assert item(site.status(), "daemon") == ("ok", "running")
+
+
+def test_a_camera_is_lost_from_the_moment_the_daemon_says_so(site: Site) -> None:
+    ran = says(site, lost={"sub": LostCamera("2026-03-01T00:09:00Z", "sub camera: unplugged")})
+    told = "sub lost since slot 2026-03-01T00:09:00Z: sub camera: unplugged"
+    assert item(ran, "cameras") == ("critical", told)
+    assert ran.code == 2
+
+
+def test_slots_that_fail_in_a_row_are_a_warning_with_their_cause(site: Site) -> None:
+    last = LastSlot("2026-03-01T00:09:00Z", "missed", "disk_full", "no space")
+    level, text = item(says(site, failed_in_a_row=4, last=last), "supervision")
+    assert level == "warning"
+    assert text == "4 slot(s) in a row without a row (disk_full: no space), 0 start(s) in 24 h"
+
+
+def test_a_daemon_that_is_started_again_and_again_is_a_warning(site: Site) -> None:
+    for _ in range(5):
+        site.write(lambda store: store.add_event(site.end, "started"))
+    assert item(site.status(), "supervision") == ("ok", "no slot failing, 5 start(s) in 24 h")
+    site.write(lambda store: store.add_event(site.end, "started"))
+    assert site.levels(site.status())["supervision"] == "warning"
+
+
+@pytest.mark.parametrize(
+    ("free_bytes", "total_bytes", "level"),
+    [
+        (100e6, 1e9, "critical"),
+        (900e6, 2e9, "warning"),
+        (4e9, 100e9, "warning"),
+        (6e9, 100e9, "ok"),
+    ],
+)
+def test_a_nearly_full_disk_is_noticed_before_any_pair_is_kept(
+    site: Site, monkeypatch, free_bytes: float, total_bytes: float, level: str
+) -> None:
+    usage = SimpleNamespace(free=int(free_bytes), total=int(total_bytes))
+    monkeypatch.setattr("daemon.status.facts.shutil.disk_usage", lambda _path: usage)
+    assert site.levels(site.status())["disk"] == level
+
+
+def test_frames_that_are_not_kept_are_told_until_they_are_again(site: Site) -> None:
+    site.measure(2)
+    why = "from slot 2026-03-01T00:02:00Z: the disk is full"
+    site.write(lambda store: store.add_event(site.end, "frames_not_kept", why))
+    ran = site.status()
+    assert site.levels(ran)["frames"] == "warning"
+    assert "not kept from slot 2026-03-01T00:02:00Z: the disk is full" in ran.out
+    site.write(lambda store: store.add_event(site.end, "frames_kept_again", "from slot x"))
+    assert site.levels(site.status())["frames"] == "ok"
+
+
+def test_the_size_of_the_archive_is_told_without_walking_it(site: Site) -> None:
+    for number in (1, 2):
+        day = FrameDay(date(2026, 2, number), bytes=3_000_000_000)
+        site.write(lambda store, day=day: store.put_frame_day(day))
+    ran = site.status()
+    assert "frames of 2 day(s) take 6 GB" in ran.out
+    assert json.loads(ran.out)["disk"]["archive_bytes"] == 6_000_000_000
+
+
+def test_rows_that_could_not_keep_their_frames_are_a_warning_for_a_day(site: Site) -> None:
+    site.measure(2, frame=None)
+    ran = site.status()
+    assert site.levels(ran)["frames"] == "warning"
+    assert json.loads(ran.out)["frames_not_kept_24h"] == 2
+    assert site.levels(site.status(timedelta(hours=25)))["frames"] == "ok"
+
+
+def test_no_calibration_is_critical(tmp_path: Path, ctl: Ctl) -> None:
+    site = Site(tmp_path, ctl)
+    site.measure(1, DARK)
+    ran = site.status()
+    assert site.levels(ran)["calibration"] == "critical"
+    assert "run dcam-ctl calibrate" in ran.out
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [({"config_hash": "0" * 64}, "config has changed"), ({"passed": False}, "did not pass")],
+)
+def test_a_doubtful_calibration_is_a_warning(site: Site, change, told: str) -> None:
+    site.calibrate(**change)
+    ran = site.status()
+    assert site.levels(ran)["calibration"] == "warning"
+    assert told in ran.out
+
+
+def test_without_a_database_it_is_unknown(ctl: Ctl, tmp_path: Path) -> None:
+    ran = Site(tmp_path, ctl).ctl("status")
+    assert ran.code == 3
+    assert ran.out.startswith("DCAM UNKNOWN - ")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["status", "--jsn"],
+        ["--nonsense", "status"],
+        ["status", "--at", "noon"],
+        ["--config", "/nowhere/dcam.toml", "status"],
+    ],
+)
+def test_what_keeps_it_from_a_verdict_is_unknown_in_one_line_on_stdout(
+    site: Site, words: list[str]
+) -> None:
+    ran = site.ctl(*words)
+    (line,) = ran.out.splitlines()
+    assert line.startswith("DCAM UNKNOWN - ")
+    assert (ran.code, ran.err) == (3, "")
+
+
+def test_a_config_with_several_faults_is_unknown_and_still_json(site: Site) -> None:
+    site.config.write_text(SIMULATED.replace("= 8.0", "= -8.0").replace("= 2.0", "= -2.0"))
+    ran = site.ctl("status", "--json")
+    assert ran.code == 3
+    document = json.loads(ran.out)
+    assert (document["level"], document["code"]) == ("unknown", 3)
+    assert "diameter_mm" in document["error"]
+    assert "square_mm" in document["error"]
+
+
+def test_a_newer_database_is_unknown_and_a_damaged_one_critical(site: Site) -> None:
+    database = site.state / "dcam.db"
+    with closing(sqlite3.connect(database)) as connection, connection:
+        connection.execute("UPDATE alembic_version SET version_num = '9999'")
+    newer = site.ctl("status", "--json")
+    assert (newer.code, json.loads(newer.out)["level"]) == (3, "unknown")
+    assert site.ctl("gaps").code == 5
+    database.write_bytes(b"not a database at all" * 1000)
+    damaged = site.ctl("status")
+    assert damaged.code == 2
+    assert damaged.out.startswith("DCAM CRITICAL - ")
+
+
+def test_first_line_is_what_a_monitoring_system_shows(site: Site) -> None:
+    """One line with verdict, value and figures; then a plain table, because this is no terminal."""
+    with sole_writer(site.state):
+        ran = site.ctl("status", "--at", "2026-03-01T00:09:30Z")
+    first, header, *rest = ran.out.splitlines()
+    text, figures = first.split(" | ")
+    assert text.startswith("DCAM OK - bench: x +0.500 ± 0.100 mm, y -1.250 ± 0.200 mm, 30 s ago")
+    assert "age=30s" in figures.split()
+    assert "coverage_24h=100.00%" in figures.split()
+    assert header.split() == ["what", "state", "as", "of", "2026-03-01T00:09:30Z"]
+    assert len(rest) == 13
+    assert "\x1b" not in ran.out
+    assert "─" not in ran.out
+
+
+def test_gaps_are_listed_with_slots_and_cause(site: Site) -> None:
+    site.miss(3, GapCause.POWER_LOSS)
+    site.measure(1)
+    site.miss(2, GapCause.CAMERA_LOST)
+    ran = site.ctl("gaps", "--json")
+    assert ran.code == 0
+    document = json.loads(ran.out)
+    assert document["schema"] == 1
+    assert [(gap["start_utc"], gap["end_utc"]) for gap in document["gaps"]] == [
+        ("2026-03-01T00:10:00Z", "2026-03-01T00:12:00Z"),
+        ("2026-03-01T00:14:00Z", "2026-03-01T00:15:00Z"),
+    ]
+    assert [(gap["slots"], gap["cause"]) for gap in document["gaps"]] == [
+        (3, "power_loss"),
+        (2, "camera_lost"),
+    ]
+    later = site.ctl("gaps", "--since", "2026-03-01T00:13:00Z")
+    assert "power_loss" not in later.out
+    assert "1 gap(s), 2 slots missed" in later.out
+
+
+def test_no_gaps_is_said(site: Site) -> None:
+    assert site.ctl("gaps").out == "no gaps\n"
+
+
+def test_export_writes_a_span_to_a_file_or_stdout(site: Site, tmp_path: Path) -> None:
+    span = ("--since", "2026-03-01T00:02:00Z", "--until", "2026-03-01T00:05:00+00:00")
+    ran = site.ctl("export", *span)
+    rows = list(csv.DictReader(io.StringIO(ran.out)))
+    assert [row["slot_utc"] for row in rows] == [f"2026-03-01T00:0{k}:00Z" for k in (2, 3, 4)]
+    assert {row["x_mm"] for row in rows} == {"0.5"}
+    assert site.ctl("export", *span, "--output", tmp_path / "out.csv").out == ""
+    assert (tmp_path / "out.csv").read_text() == ran.out
+
+
+@pytest.mark.parametrize("command", ["gaps", "export"])
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_span_that_ends_before_it_begins_is_a_usage_error(
+    site: Site, command: str, order: int
+) -> None:
+    ends = [("--since", "2026-03-02"), ("--until", "2026-03-01")][::order]
+    ran = site.ctl(command, *(word for end in ends for word in end))
+    assert (ran.code, ran.out) == (2, "")
+    assert "--since 2026-03-02T00:00:00Z is later than --until 2026-03-01T00:00:00Z" in ran.err
+
+
+def test_an_output_that_cannot_be_made_is_told_by_its_directory(site: Site, tmp_path: Path) -> None:
+    ran = site.ctl("export", "--output", tmp_path / "nowhere" / "out.csv")
+    assert ran.code == 4
+    assert f"{tmp_path / 'nowhere'}: No such file or directory" in ran.err
+
+
+def test_a_format_of_a_later_part_is_not_offered(site: Site) -> None:
+    assert site.ctl("export", "--format", "parquet").code == 2
+
+
+def test_a_copied_state_can_be_read_without_its_config(site: Site, ctl: Ctl) -> None:
+    assert ctl("--state", site.state, "gaps").code == 0
+
+
+def test_status_loads_no_numerics_no_orm_and_no_logger(site: Site) -> None:
+    """A monitoring system asks every minute: it shall not wait for what only a slot needs."""
+    program = (
+        "import sys; from daemon import ctl; code = ctl.run(ctl.cli, 'dcam-ctl'); "
+        "print(*sorted({name.partition('.')[0] for name in sys.modules}), file=sys.stderr); "
+        "sys.exit(code)"
+    )
+    at = (site.end - MINUTE).isoformat()
+    where = ("--config", site.config, "--state", site.state)
+    with sole_writer(site.state):
+        ran = subprocess.run(
+            [sys.executable, "-c", program, *where, "status", "--at", at],
+            cwd=Path(__file__).parents[3],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    assert ran.returncode == 0, ran.stdout
+    slow = {"scipy", "cv2", "numba", "sqlalchemy", "alembic", "apscheduler", "structlog", "rich"}
+    assert slow.isdisjoint(ran.stderr.split())

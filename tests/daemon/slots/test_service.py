@@ -1,0 +1,104 @@
+"""The systemd unit is one that systemd accepts, well locked in, with what the daemon relies on."""
+
+import configparser
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from daemon.clock.machine import BOOT_ID_VARIABLE
+from daemon.config.reading import DEFAULT_STATE_DIRECTORY
+from daemon.control.reporting import MARGIN_S
+from daemon.control.run_state import RUNTIME_DIRECTORY
+from daemon.errors import ExitCode
+from daemon.loop_cache import SHARED
+
+USAGE, CONFIG = ExitCode.USAGE, ExitCode.CONFIG
+ROOTS = ("/var/lib", "/run", "/var/cache")
+UNITS = Path(__file__).parents[3] / "systemd"
+UNIT = UNITS / "dcamd.service"
+
+TIMER = "dcam-alarm.timer"
+
+needs_systemd = pytest.mark.skipif(
+    not shutil.which("systemd-analyze"), reason="systemd-analyze is not installed"
+)
+
+
+def section(name: str) -> configparser.SectionProxy:
+    """A section of the unit; of a key that stands there more than once, the last."""
+    parser = configparser.ConfigParser(interpolation=None, strict=False)
+    parser.optionxform = str  # type: ignore[assignment,method-assign]
+    parser.read(UNIT)
+    return parser[name]
+
+
+def service() -> configparser.SectionProxy:
+    return section("Service")
+
+
+@needs_systemd
+def test_systemd_has_nothing_to_say_against_the_units(tmp_path: Path) -> None:
+    """The installed programs are not here: stand-ins take their places, nothing else is changed."""
+    installed = Path(service()["ExecStart"]).parent
+    for program in ("dcamd", "dcam-ctl"):
+        stand_in = tmp_path / program
+        stand_in.write_text("#!/bin/sh\n")
+        stand_in.chmod(0o755)
+    units = [tmp_path / name for name in ("dcamd.service", "dcam-alarm.service", TIMER)]
+    for unit in units:
+        text = (UNITS / unit.name).read_text()
+        unit.write_text(text.replace(f"{installed}/", f"{tmp_path}/"))
+
+    result = subprocess.run(
+        ["systemd-analyze", "verify", *map(str, units)], capture_output=True, text=True, check=False
+    )
+
+    complaints = [line for line in result.stderr.splitlines() if "dcam" in line]
+    assert (result.returncode, complaints) == (0, [])
+
+
+@needs_systemd
+@pytest.mark.parametrize("name", ["dcamd.service", "dcam-alarm.service"])
+def test_systemd_rates_the_unit_as_locked_in(name: str) -> None:
+    """At most 1.5 of 10; more would be reachable than two cameras, a serial port and its files."""
+    result = subprocess.run(
+        ["systemd-analyze", "security", "--offline=true", "--threshold=15", str(UNITS / name)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stdout
+
+
+def test_devices_and_compiler_are_not_locked_out() -> None:
+    text = UNIT.read_text()
+    for device in ("usb_device", "ttyUSB", "ttyACM", "ttyS"):
+        assert f"\nDeviceAllow=char-{device} rw\n" in text
+    families = set(service()["RestrictAddressFamilies"].split())
+    assert {"AF_INET", "AF_NETLINK", "AF_UNIX"} <= families
+    for closed in ("PrivateDevices", "PrivateNetwork", "MemoryDenyWriteExecute", "ProcSubset"):
+        assert closed not in service()
+
+
+def test_service_comes_back_always_and_for_ever() -> None:
+    unit = service()
+    assert int(unit["WatchdogSec"]) == 3 * 60 + MARGIN_S
+    assert unit["Restart"] == "always"
+    assert section("Unit")["StartLimitIntervalSec"] == "0"
+    assert unit["RestartPreventExitStatus"].split() == [str(USAGE.value), str(CONFIG.value)]
+
+
+def test_unit_says_what_the_daemon_relies_on() -> None:
+    unit = service()
+    assert unit["Type"] == "notify"
+    assert unit["User"] == "dcam"
+    directories = (unit["StateDirectory"], unit["RuntimeDirectory"], unit["CacheDirectory"])
+    assert tuple(Path(root) / name for root, name in zip(ROOTS, directories, strict=True)) == (
+        DEFAULT_STATE_DIRECTORY,
+        RUNTIME_DIRECTORY,
+        SHARED,
+    )
+    assert unit["ExecStart"] == "/opt/dcam/venv/bin/dcamd"
+    assert f"\nEnvironment={BOOT_ID_VARIABLE}=%b\n" in UNIT.read_text()

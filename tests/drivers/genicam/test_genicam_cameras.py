@@ -1,0 +1,399 @@
+"""What holds for a GenICam camera whichever library reaches it, seen from outside.
+
+Each test runs over Aravis and over harvesters with a GenTL producer, on the same camera processes
+that speak real GigE Vision; what was set is read in the camera's own registers.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.clock import SystemClock
+from drivers.errors import (
+    DeviceError,
+    DeviceLostError,
+    FrameTimeoutError,
+    IncompleteFrameError,
+    SettingRefusedError,
+)
+from drivers.pair import SynchronizedPair
+from drivers.protocols import Camera, CameraSettings, LineOut, TriggerIn
+from tests.drivers.genicam.gige import registers
+from tests.drivers.genicam.gige.bench import (
+    HEIGHT_PX,
+    WIDTH_PX,
+    gige_network,
+    image_index,
+    read_pixels,
+    running,
+    shoot,
+    write_images,
+)
+from tests.drivers.genicam.gige.kinds import KINDS, Kind, kind_of
+from tests.drivers.genicam.gige.loopback import ADDRESSES, THIRD_ADDRESS
+from tests.drivers.genicam.gige.process import REPOSITORY, CameraProcess
+
+MAIN, SUB, STANDING = "15290000", "15290001", "15290002"
+SETTINGS = CameraSettings(WIDTH_PX, HEIGHT_PX)
+
+
+@pytest.fixture(scope="module")
+def network() -> Iterator[None]:
+    with gige_network():
+        yield
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def kind(request: pytest.FixtureRequest, network: None) -> Kind:
+    return kind_of(request.param)
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return write_images(tmp_path_factory.mktemp("images"), 3, seed=2)
+
+
+@pytest.fixture
+def process(kind: Kind, images: list[Path]) -> Iterator[CameraProcess]:
+    camera = kind.process(ADDRESSES[0], MAIN, images)
+    with running(camera):
+        yield camera
+
+
+@pytest.fixture(scope="module")
+def standing(kind: Kind, images: list[Path]) -> Iterator[CameraProcess]:
+    """A camera for tests that take no frame."""
+    camera = kind.process(THIRD_ADDRESS, STANDING, images)
+    with running(camera):
+        yield camera
+
+
+@pytest.fixture
+def camera(kind: Kind, process: CameraProcess) -> Iterator[Camera]:
+    with closing(kind.make(MAIN, SETTINGS, "main")) as opened:
+        opened.open()
+        yield opened
+
+
+def settings(**values: Any) -> CameraSettings:
+    return CameraSettings(**{"width_px": WIDTH_PX, "height_px": HEIGHT_PX, **values})
+
+
+def outcome(camera: Camera, timeout_s: float) -> DeviceError | None:
+    """The error of one shot; None when it gave a frame."""
+    try:
+        shoot(camera, timeout_s)
+    except DeviceError as error:
+        return error
+    return None
+
+
+# --- which camera
+
+
+def test_two_cameras_are_told_apart_by_serial_though_they_changed_places(
+    kind: Kind, tmp_path: Path
+) -> None:
+    images = {MAIN: write_images(tmp_path, 1, seed=3), SUB: write_images(tmp_path, 1, seed=4)}
+    for addresses in (ADDRESSES, ADDRESSES[::-1]):
+        processes = [
+            kind.process(address, serial, images[serial])
+            for address, serial in zip(addresses, (MAIN, SUB), strict=True)
+        ]
+        with running(*processes):
+            for serial in (MAIN, SUB):
+                with closing(kind.make(serial, SETTINGS, None)) as camera:
+                    camera.open()
+                    assert image_index(shoot(camera).pixels, images[serial]) == 0
+
+
+def test_a_wrong_serial_is_answered_with_the_ones_there_are(
+    kind: Kind, standing: CameraProcess
+) -> None:
+    with pytest.raises(DeviceLostError, match=f"999.*not found.*{STANDING}"):
+        kind.make("999", SETTINGS, None).open()
+
+
+def test_a_camera_whose_program_was_killed_is_taken_over_when_it_forgets_it(
+    kind: Kind, process: CameraProcess
+) -> None:
+    """And before that, another program is not robbed of it: the same wait ends in a refusal."""
+    program = (
+        "from tests.drivers.genicam.gige.kinds import kind_of\n"
+        "from drivers.protocols import CameraSettings\n"
+        f"camera = kind_of({kind.name!r}).make(\n"
+        f"    {MAIN!r}, CameraSettings({WIDTH_PX}, {HEIGHT_PX}), None)\n"
+        "camera.open()\n"
+        "print('open', flush=True)\n"
+        "import time; time.sleep(60)\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", program], cwd=REPOSITORY, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout is not None
+        assert any(line.rstrip() == "open" for line in other.stdout)
+        other.kill()
+    with closing(kind.make(MAIN, SETTINGS, None)) as camera:
+        camera.open()
+        assert shoot(camera).pixels.shape == (HEIGHT_PX, WIDTH_PX)
+
+
+# --- set-up
+
+
+def test_every_automatic_mode_is_off_and_what_was_asked_is_set(
+    kind: Kind, process: CameraProcess
+) -> None:
+    """On a camera that comes up with all of them on, exposure and gain locked by them."""
+    with closing(kind.make(MAIN, settings(exposure_us=20_000.0, gain_db=6.0), None)) as camera:
+        camera.open()
+        frame = shoot(camera)
+        assert (frame.exposure_us, frame.gain_db) == (20_000.0, 6.0)
+        assert frame.temperature_c == 41.5
+        for address in (
+            registers.EXPOSURE_AUTO,
+            registers.GAIN_AUTO,
+            registers.FRAME_RATE_AUTO,
+            registers.FRAME_RATE_ENABLED,
+            registers.GAMMA_ENABLED,
+            registers.REVERSE_X,
+        ):
+            assert process.register(address) == 0, hex(address)
+        assert process.register(registers.TRIGGER_SOURCE) == registers.SOFTWARE
+        as_double = registers.double_words(20_000.0)
+        assert tuple(process.register(registers.EXPOSURE_TIME + k) for k in (0, 4)) == as_double
+
+
+def test_a_changed_exposure_is_in_the_cameras_own_registers(
+    camera: Camera, process: CameraProcess
+) -> None:
+    """Between two frames, and brought within what the camera takes rather than refused."""
+    camera.set_exposure(1234.5, 3.0)
+    frame = shoot(camera)
+    assert (frame.exposure_us, frame.gain_db) == (1234.5, 3.0)
+    in_register = tuple(process.register(registers.EXPOSURE_TIME + k) for k in (0, 4))
+    assert in_register == registers.double_words(1234.5)
+    camera.set_exposure(1e12, 999.0)
+    frame = shoot(camera)
+    assert frame.exposure_us is not None
+    assert frame.gain_db is not None
+    assert 1e4 < frame.exposure_us < 1e9
+    assert 3.0 < frame.gain_db < 100.0
+
+
+def test_without_a_configured_exposure_and_gain_they_are_5_ms_and_the_lowest(
+    camera: Camera,
+) -> None:
+    frame = shoot(camera)
+    assert (frame.exposure_us, frame.gain_db) == (5000.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"exposure_us": 1e9}, r"ExposureTime = 1e\+09 us refused: the camera takes 4\.83 to"),
+        (
+            {"width_px": WIDTH_PX + 4},
+            r"Width = 100 refused: the camera takes 8 to 96 in steps of 4",
+        ),
+        (
+            {"packet_size_bytes": 100},
+            r"GevSCPSPacketSize = 100 refused: the camera takes 576 to 9000",
+        ),
+        (
+            {"line_out": LineOut("Line2", "Sunshine")},
+            "LineSource = Sunshine refused.*takes Off, ExposureActive",
+        ),
+        ({"trigger": TriggerIn("Line7")}, r"LineSelector = Line7 refused: .*Line0, Line1, Line2"),
+    ],
+)
+def test_a_setting_out_of_range_is_refused_with_its_limits(
+    kind: Kind, standing: CameraProcess, values: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(SettingRefusedError, match=f"camera {STANDING}: .*{message}"):
+        kind.make(STANDING, settings(**values), None).open()
+
+
+def test_a_smaller_image_is_the_middle_of_the_sensor(
+    kind: Kind, process: CameraProcess, images: list[Path]
+) -> None:
+    with closing(kind.make(MAIN, settings(width_px=64, height_px=32), None)) as camera:
+        camera.open()
+        whole = read_pixels(images[0])
+        assert np.array_equal(shoot(camera).pixels, whole[16:48, 16:80])
+    with closing(kind.make(MAIN, SETTINGS, None)) as camera:
+        camera.open()  # the offsets left behind do not limit the size
+        assert np.array_equal(shoot(camera).pixels, read_pixels(images[1]))
+
+
+@pytest.mark.parametrize("bits", [12])
+def test_deeper_pixels_come_whole(kind: Kind, tmp_path: Path, bits: int) -> None:
+    images = write_images(tmp_path, 2, seed=5, bits=bits)
+    with running(kind.process(ADDRESSES[0], MAIN, images)):
+        with closing(kind.make(MAIN, settings(pixel_format=f"Mono{bits}"), None)) as camera:
+            camera.open()
+            frame = shoot(camera)
+        assert frame.bits == bits
+        assert frame.pixels.dtype == np.uint16
+        assert image_index(frame.pixels, images) == 0
+
+
+def test_full_size_frames_are_exact(kind: Kind, tmp_path: Path) -> None:
+    images = write_images(tmp_path, 2, seed=6, shape=(1200, 1920))
+    whole = CameraSettings(1920, 1200, packet_size_bytes=8192)
+    camera = kind.make(MAIN, whole, None)
+    with running(kind.process(ADDRESSES[0], MAIN, images)), closing(camera):
+        camera.open()
+        assert all(image_index(shoot(camera).pixels, images) is not None for _ in range(4))
+
+
+# --- faults of the link
+
+
+def test_a_frame_with_packets_missing_is_refused_and_the_next_one_taken(
+    camera: Camera, process: CameraProcess
+) -> None:
+    shoot(camera)
+    process.command("lose 0.4")
+    outcomes = [outcome(camera, timeout_s=1.0) for _ in range(10)]
+    refused = [error for error in outcomes if isinstance(error, IncompleteFrameError)]
+    assert refused
+    assert all(re.search(r"is incomplete .*rmem_max", str(error)) for error in refused)
+    assert not any(isinstance(error, DeviceLostError) for error in outcomes)
+    process.command("lose 0")
+    for _ in range(10):  # more than there are buffers: each was put back
+        shoot(camera)
+
+
+def test_a_late_frame_is_not_taken_for_the_next(
+    camera: Camera, process: CameraProcess, images: list[Path]
+) -> None:
+    shoot(camera)
+    process.command("late 0.6")
+    with pytest.raises(FrameTimeoutError):
+        shoot(camera, timeout_s=0.2)
+    assert image_index(shoot(camera).pixels, images) == 2
+
+
+def test_a_camera_that_falls_silent_costs_its_deadline_and_comes_back(
+    camera: Camera, process: CameraProcess
+) -> None:
+    shoot(camera)
+    process.freeze()
+    start_s = time.monotonic()
+    with pytest.raises(DeviceLostError):
+        shoot(camera)
+    assert time.monotonic() - start_s < 2 * SETTINGS.command_timeout_s + 1.0
+    process.thaw()
+    camera.open()
+    shoot(camera)
+
+
+def test_a_camera_restarted_behind_our_back_is_noticed(
+    camera: Camera, process: CameraProcess
+) -> None:
+    """It takes commands as if nothing had happened, but never answers a trigger."""
+    shoot(camera)
+    process.kill()
+    process.start()
+    outcomes = [outcome(camera, timeout_s=0.3) for _ in range(3)]
+    assert any(isinstance(error, DeviceLostError) for error in outcomes)
+    assert None not in outcomes
+    camera.open()
+    shoot(camera)
+
+
+def test_one_of_two_cameras_dies_and_comes_back_without_disturbing_the_other(
+    kind: Kind, tmp_path: Path
+) -> None:
+    images = {MAIN: write_images(tmp_path, 2, seed=7), SUB: write_images(tmp_path, 2, seed=8)}
+    dying, other = (
+        kind.process(address, serial, images[serial])
+        for address, serial in zip(ADDRESSES, (MAIN, SUB), strict=True)
+    )
+    with (
+        running(dying, other),
+        closing(kind.make(MAIN, SETTINGS, "main")) as main,
+        closing(kind.make(SUB, SETTINGS, "sub")) as sub,
+    ):
+        for camera in (main, sub):
+            camera.open()
+            shoot(camera)
+        dying.kill()
+        assert isinstance(outcome(main, 0.5), DeviceLostError)
+        taken = [shoot(sub)]
+        with pytest.raises(DeviceLostError):
+            main.open()
+        taken.append(shoot(sub))
+        dying.start()
+        main.open()
+        taken.append(shoot(sub))
+        assert image_index(shoot(main).pixels, images[MAIN]) == 0
+        assert [image_index(frame.pixels, images[SUB]) for frame in taken] == [1, 0, 1]
+    assert len(other.frames) == 4  # not one more than was asked for
+
+
+# --- one camera's line triggers the other
+
+
+@pytest.fixture
+def wired(kind: Kind, images: list[Path]) -> Iterator[tuple[CameraProcess, CameraProcess]]:
+    main, sub = (
+        kind.process(address, serial, images)
+        for address, serial in zip(ADDRESSES, (MAIN, SUB), strict=True)
+    )
+    main.wire(2, sub, 3)
+    with running(main, sub):
+        yield main, sub
+
+
+@pytest.fixture
+def pair(kind: Kind, wired: tuple[CameraProcess, CameraProcess]) -> Iterator[SynchronizedPair]:
+    cameras = (
+        kind.make(MAIN, settings(line_out=LineOut("Line2")), "main"),
+        kind.make(SUB, settings(trigger=TriggerIn("Line3")), "sub"),
+    )
+    opened = SynchronizedPair(*cameras, SystemClock(), timeout_s=1.0, main_triggers_sub=True)
+    with closing(opened):
+        yield opened
+
+
+def test_the_main_camera_triggers_the_sub_camera_through_a_wire(
+    pair: SynchronizedPair,
+    wired: tuple[CameraProcess, CameraProcess],
+    images: list[Path],
+) -> None:
+    """One frame each a slot, the same scene; and no skew is claimed that nobody measured."""
+    for n in range(3):
+        taken = pair.capture(SystemClock().now_utc())
+        shown = [image_index(frame.pixels, images) for frame in (taken.main, taken.sub)]
+        assert shown == [n, n]
+        assert taken.skew_s is None
+    assert [len(camera.frames) for camera in wired] == [3, 3]
+
+
+def test_a_broken_wire_is_named_and_no_frame_is_taken_for_another(
+    pair: SynchronizedPair,
+    wired: tuple[CameraProcess, CameraProcess],
+    images: list[Path],
+) -> None:
+    main, sub = wired
+    pair.capture(SystemClock().now_utc())
+    main.wire(2, sub, 0)  # a line nobody listens to
+    with pytest.raises(FrameTimeoutError, match=f"camera {SUB}: .*check the wire .* Line3") as lost:
+        pair.capture(SystemClock().now_utc())
+    assert lost.value.role == "sub"
+    main.wire(2, sub, 3)
+    taken = pair.capture(SystemClock().now_utc())
+    assert image_index(taken.main.pixels, images) == 2
+    assert image_index(taken.sub.pixels, images) == 1  # its second frame: the edge it missed
