@@ -20,7 +20,7 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.calibration.calibrate import CalibrationView, Method, ViewRole, calibrate
-from core.calibration.joint_fit import Fit, Recipe, fit_views, setup_of
+from core.calibration.joint_fit import Fit, FitOptions, calibrated_site_of, fit_views
 from core.calibration.lens_selection import start_from_views
 from core.calibration.views import LensView, PairView, Views
 from core.checkerboard.board import Board
@@ -30,7 +30,7 @@ from core.discs.disc_finder import Discs
 from core.images import GreyImage
 from core.measurement import measure_pair
 from core.results import Flag
-from core.rig.calibrated_site import Setup
+from core.rig.calibrated_site import CalibratedSite
 from core.rig.compensation import corrected_displacement
 from core.site import (
     CameraGeometry,
@@ -196,7 +196,7 @@ class SeenWorld:
         view = BoardView(index, noisy, covariance)
         return LocatedBoard(
             view,
-            certain=True,
+            unambiguous=True,
             white_dn=np.full(len(index), CONTRAST_DN),
             black_dn=np.zeros(len(index)),
             missing_px=np.zeros((0, 2)),
@@ -243,11 +243,11 @@ def run_numbers(case: Case, seed: int) -> Outcome:
             pairs[shot.role].append((shot, seen.pair(str(number), shot)))
     rig = tuple(view for _, view in pairs[ViewRole.RIG])
     views = Views(pairs[ViewRole.REFERENCE][0][1], rig, tuple(lens))
-    setup, _ = calibrate_numbers(views, site)
+    calibrated, _ = calibrate_numbers(views, site)
     rows = []
     for shot, pair in pairs[None]:
-        board = resect(setup.lens, setup.corners_mm, pair.board.view)
-        found, _ = corrected_displacement(setup, pair.discs, board, pair.board.view)
+        board = resect(calibrated.lens, calibrated.corners_mm, pair.board.view)
+        found, _ = corrected_displacement(calibrated, pair.discs, board, pair.board.view)
         head.move_to(*shot.head_deg)
         truth = world.truth(shot.utc)
         covariance = found.shared_mm2 if case.quiet_rows else found.covariance_mm2
@@ -256,12 +256,12 @@ def run_numbers(case: Case, seed: int) -> Outcome:
     return Outcome(seed, tuple(rows), 0, passed=True)
 
 
-def calibrate_numbers(views: Views, site: Site) -> tuple[Setup, Fit]:
+def calibrate_numbers(views: Views, site: Site) -> tuple[CalibratedSite, Fit]:
     """Calibrate from located points."""
-    recipe = Recipe(site, Board.nominal(site.sub_target), Method.RIGID, skew=False)
-    start, _ = start_from_views(views, recipe)
-    fit = fit_views(views, start.lens, recipe)
-    return setup_of(fit, recipe), fit
+    options = FitOptions(site, Board.nominal(site.sub_target), Method.RIGID, skew=False)
+    start, _ = start_from_views(views, options)
+    fit = fit_views(views, start.lens, options)
+    return calibrated_site_of(fit, options), fit
 
 
 def run_rendered(case: Case, seed: int) -> Outcome:

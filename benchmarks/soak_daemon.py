@@ -19,7 +19,7 @@ from daemon import main
 from daemon.clock import machine
 from daemon.slots import measuring, pipeline
 from daemon.slots.measuring import ActiveCalibration, ImagePair
-from daemon.slots.row_history import Sequence, stored_continuity
+from daemon.slots.row_history import RowHistory, stored_continuity
 from daemon.store.database import Store
 from drivers.protocols import Image, Role
 from drivers.sim import world
@@ -78,9 +78,9 @@ class Remembered:
     """Judges a row by those before it without reading them anew: a slot then takes a third."""
 
     def __init__(self) -> None:
-        self._sequence: Sequence | None = None
+        self._sequence: RowHistory | None = None
 
-    def in_sequence(
+    def judge_in_history(
         self,
         store: Store,
         calibration: ActiveCalibration | None,
@@ -93,7 +93,7 @@ class Remembered:
             return measurement
         if self._sequence is None:
             so_far = stored_continuity(store, calibration, slot_utc)
-            self._sequence = Sequence(calibration, limits, so_far)
+            self._sequence = RowHistory(calibration, limits, so_far)
         return self._sequence.judge(slot_utc, measurement)
 
 
@@ -103,7 +103,7 @@ def run() -> int:
     for module, name, stand_in in (
         (machine, "read_boot_id", lambda: boot_id),
         (pipeline, "measure", MeasuredAnew(every).measure),
-        (pipeline, "in_sequence", Remembered().in_sequence),
+        (pipeline, "in_sequence", Remembered().judge_in_history),
         (world, "World", RenderedOnce),
     ):
         setattr(module, name, stand_in)

@@ -21,7 +21,7 @@ from core.quality.verdicts import (
     too_dark,
 )
 from core.results import Diagnostics, Displacement, Measurement, Reason
-from core.rig.calibrated_site import Setup
+from core.rig.calibrated_site import CalibratedSite
 from core.rig.compensation import Shift, corrected_displacement, raw_displacement, rig_motion
 from core.site import Site
 
@@ -38,24 +38,24 @@ def measure_pair(
     Discs, board, pose, rig motion, false displacement, displacement, verdict. Never raises for
     what an image shows; None means there is no image.
     """
-    setup = calibration.setup
-    main_seen, reasons = _see_main(main, site, setup)
-    sub_seen, sub_reasons = _see_sub(sub, site, setup)
+    calibrated = calibration.calibrated
+    main_seen, reasons = _see_main(main, site, calibrated)
+    sub_seen, sub_reasons = _see_sub(sub, site, calibrated)
     reasons += sub_reasons
     raw = corrected = motion = None
     common = None
     if main_seen is not None:
         raw, common = main_seen.raw, main_seen.shift
     if sub_seen is not None:
-        motion = rig_motion(setup, sub_seen.pose)
-        reasons += judge_motion(setup, motion, site)
+        motion = rig_motion(calibrated, sub_seen.pose)
+        reasons += judge_motion(calibrated, motion, site)
     if main_seen is not None and sub_seen is not None:
         corrected, common = corrected_displacement(
-            setup, main_seen.discs, sub_seen.pose, sub_seen.located.view
+            calibrated, main_seen.discs, sub_seen.pose, sub_seen.located.view
         )
         reasons += judge_value(corrected, site)
     if main_seen is not None and common is not None:
-        reasons += judge_main(setup, main_seen.discs, common if sub_seen else None)
+        reasons += judge_main(calibrated, main_seen.discs, common if sub_seen else None)
     if skew_s is not None and abs(skew_s) * 1e3 > site.quality.max_skew_ms:
         reasons.append(Reason.NOT_SIMULTANEOUS)
     unique = tuple(dict.fromkeys(reasons))
@@ -86,7 +86,7 @@ class _SubSeen:
 
 
 def _see_main(
-    image: GreyImage | None, site: Site, setup: Setup
+    image: GreyImage | None, site: Site, calibrated: CalibratedSite
 ) -> tuple[_MainSeen | None, list[Reason]]:
     if image is None:
         return None, [Reason.MAIN_IMAGE_MISSING]
@@ -99,9 +99,9 @@ def _see_main(
     reasons = [Reason.OVEREXPOSED] if overexposed(image) else []
     try:
         discs = find_discs(
-            image, site.main_target, site.nominal_px_per_mm, setup.reference_discs_px
+            image, site.main_target, site.nominal_px_per_mm, calibrated.reference_discs_px
         )
-        raw, shift = raw_displacement(setup, discs)
+        raw, shift = raw_displacement(calibrated, discs)
     except TargetNotFoundError:
         dark = [Reason.TOO_DARK] if too_dark(image) else []
         return None, [*reasons, *dark, Reason.MAIN_TARGET_NOT_FOUND]
@@ -109,7 +109,7 @@ def _see_main(
 
 
 def _see_sub(
-    image: GreyImage | None, site: Site, setup: Setup
+    image: GreyImage | None, site: Site, calibrated: CalibratedSite
 ) -> tuple[_SubSeen | None, list[Reason]]:
     if image is None:
         return None, [Reason.SUB_IMAGE_MISSING]
@@ -122,13 +122,17 @@ def _see_sub(
     reasons = [Reason.OVEREXPOSED] if overexposed(image) else []
     try:
         located = locate_board(
-            image, setup.lens, setup.board, setup.corners_mm, setup.reference_pose
+            image,
+            calibrated.lens,
+            calibrated.board,
+            calibrated.corners_mm,
+            calibrated.reference_pose,
         )
-        pose = resect(setup.lens, setup.corners_mm, located.view, located.near)
+        pose = resect(calibrated.lens, calibrated.corners_mm, located.view, located.near)
     except TargetNotFoundError:
         dark = [Reason.TOO_DARK] if too_dark(image) else []
         return None, [*reasons, *dark, Reason.SUB_TARGET_NOT_FOUND]
-    return _SubSeen(located, pose), reasons + judge_sub(setup, located, pose)
+    return _SubSeen(located, pose), reasons + judge_sub(calibrated, located, pose)
 
 
 def _diagnostics(

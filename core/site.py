@@ -89,7 +89,7 @@ class Site:
     rig: RigPrior
     quality: QualityLimits
     lens_model: LensModel | None = None
-    """Of the sub-camera; None: the one that foretells held-out views best."""
+    """Of the sub-camera; None: the one that predicts held-out views best."""
 
     @property
     def nominal_px_per_mm(self) -> float:

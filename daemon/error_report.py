@@ -44,7 +44,7 @@ def lines_of(error: BaseException) -> tuple[str, ...]:
         text = "interrupted"
     elif isinstance(error, OSError) and error.strerror:
         text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    elif _was_foreseen(error):
+    elif _is_ours(error):
         text = str(error)
     else:
         text = f"internal error: {type(error).__name__}: {error} (--debug shows where)"
@@ -58,7 +58,7 @@ def _usage_text(error: click.UsageError) -> str:
     return error.format_message().rstrip(".")
 
 
-def _was_foreseen(error: BaseException) -> bool:
+def _is_ours(error: BaseException) -> bool:
     return isinstance(error, DcamError) or any(isinstance(error, kind) for kind, _ in _EXIT_CODES)
 
 

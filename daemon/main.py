@@ -13,7 +13,7 @@ from daemon.commands.options import Options, common_options, pass_options
 from daemon.config.reading import Installation
 from daemon.control.notify import Notifier
 from daemon.control.reporting import Reporter
-from daemon.control.requests import Orders, given_by_signals
+from daemon.control.requests import ControlRequests, given_by_signals
 from daemon.control.run_state import runtime_directory
 from daemon.devices import require_backend
 from daemon.error_report import run
@@ -62,7 +62,7 @@ def serve(installation: Installation, max_slots: int | None = None) -> None:
     require_backend(config)
     configure_log(config.log.format, config.log.level)
     state = installation.state_directory
-    orders: Orders[Station] = Orders()
+    orders: ControlRequests[Station] = ControlRequests()
     with given_by_signals(orders), sole_writer(state):
         relieve(state)
         reporter = Reporter(Notifier.from_environment(), runtime_directory(state))

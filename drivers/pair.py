@@ -74,7 +74,7 @@ class SynchronizedPair:
 
     def prepare(self) -> None:
         """Open and arm both cameras. Raises DeviceError, within `open_timeout_s`."""
-        self._both(_Lane.ready, "opening", self._open_timeout_s)
+        self._both(_Lane.open_and_arm, "opening", self._open_timeout_s)
 
     def set_exposure(self, role: Role, exposure_us: float, gain_db: float | None) -> None:
         """Have a camera expose so from the next frame on, also after it was opened anew."""
@@ -89,7 +89,7 @@ class SynchronizedPair:
         self.prepare()
         meeting = threading.Barrier(len(self._lanes))
         main, sub = self._both(
-            lambda lane: lane.shoot(meeting, self._timeout_s),
+            lambda lane: lane.trigger_and_fetch(meeting, self._timeout_s),
             "the exposure",
             self._timeout_s + self._grace_s,
         )
@@ -175,7 +175,7 @@ class _Lane:
 
     # ------------------------------------------------------------ in the camera's thread
 
-    def ready(self) -> None:
+    def open_and_arm(self) -> None:
         """Open the camera if need be, tell it its exposure if that changed, and arm it."""
         if not self._open:
             self._camera.open()
@@ -188,7 +188,7 @@ class _Lane:
             self._set = wanted
         self._camera.arm()
 
-    def shoot(self, meeting: threading.Barrier, timeout_s: float) -> CapturedFrame:
+    def trigger_and_fetch(self, meeting: threading.Barrier, timeout_s: float) -> CapturedFrame:
         """Trigger together with the other camera, or through it, and fetch."""
         with suppress(threading.BrokenBarrierError):  # the other camera is late: its skew will say
             if self._waits_for_line:  # its frame is expected before the edge can come

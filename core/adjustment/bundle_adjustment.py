@@ -93,7 +93,7 @@ def adjust(
     return _adjusted(problem, state, spreads, problem.linearise(state, scale, spreads))
 
 
-def foresee(
+def predict(
     board: Board,
     views: Sequence[BoardView],
     lens: Lens,
@@ -188,4 +188,4 @@ def _line_spread(sigma_mm: float, lines_mm: FloatArray, variance_mm2: FloatArray
     return max(renewed, _LINE_FLOOR_MM)
 
 
-__all__ = ["Adjusted", "AdjustmentPriors", "Spreads", "adjust", "foresee"]
+__all__ = ["Adjusted", "AdjustmentPriors", "Spreads", "adjust", "predict"]

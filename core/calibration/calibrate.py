@@ -7,21 +7,21 @@ from dataclasses import dataclass
 from typing import Any
 
 from core.calibration.joint_fit import (
+    FitOptions,
     Method,
-    Recipe,
-    setup_of,
+    calibrated_site_of,
+    reject_outlier_views,
     validate,
-    without_misfits,
     without_moved_targets,
 )
 from core.calibration.lens_selection import fit_chosen, start_from_views
 from core.calibration.reference_index import place_reference
 from core.calibration.report import write_report
-from core.calibration.views import CalibrationView, ViewRole, look, relocate
+from core.calibration.views import CalibrationView, ViewRole, find_targets, relocate
 from core.checkerboard.board import Board
 from core.errors import CalibrationError
 from core.results import CalibrationReport
-from core.rig.calibrated_site import Setup
+from core.rig.calibrated_site import CalibratedSite
 from core.site import Site
 
 _FORMAT = 3
@@ -33,11 +33,11 @@ class Calibration:
     """Everything that `measure_pair` needs; immutable; round-trips through plain JSON types."""
 
     method: Method
-    setup: Setup
+    calibrated: CalibratedSite
 
     def to_dict(self) -> dict[str, Any]:
         """Give plain JSON types."""
-        return {"format": _FORMAT, "method": self.method.value, "setup": self.setup.to_dict()}
+        return {"format": _FORMAT, "method": self.method.value, "setup": self.calibrated.to_dict()}
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Calibration:
@@ -50,7 +50,7 @@ class Calibration:
                     "(dcam-ctl calibrate --from)"
                 )
                 raise CalibrationError(msg)
-            return cls(Method(data["method"]), Setup.from_dict(data["setup"]))
+            return cls(Method(data["method"]), CalibratedSite.from_dict(data["setup"]))
         except (KeyError, ValueError, TypeError) as error:
             msg = f"calibration: not readable ({error!r}); calibrate again"
             raise CalibrationError(msg) from error
@@ -70,22 +70,27 @@ def calibrate(
     lens's gamma of Eq. 10 vary. Views that cannot be used are named in the report.
     Raises CalibrationError, and NotObservableError if the motions determine too little.
     """
-    recipe = Recipe(site, Board.nominal(site.sub_target), method, skew)
-    seen, rejected = look(views, site, recipe.board)
-    start, misfits = start_from_views(seen, recipe)
-    seen = seen.without({name for name, _ in misfits})
-    seen = relocate(seen, start.lens, recipe.board)
-    placed = place_reference(seen, start.lens, site, recipe.board)
+    options = FitOptions(site, Board.nominal(site.sub_target), method, skew)
+    seen, rejected = find_targets(views, site, options.board)
+    start, outliers = start_from_views(seen, options)
+    seen = seen.without({name for name, _ in outliers})
+    seen = relocate(seen, start.lens, options.board)
+    placed = place_reference(seen, start.lens, site, options.board)
     if placed is not seen:
-        seen = relocate(placed, start.lens, recipe.board)
-    fit, choice = fit_chosen(seen, start, recipe)
-    fit, bad = without_misfits(fit, recipe)
-    fit, moved = without_moved_targets(fit, recipe)
-    setup = setup_of(fit, recipe)
+        seen = relocate(placed, start.lens, options.board)
+    fit, choice = fit_chosen(seen, start, options)
+    fit, bad = reject_outlier_views(fit, options)
+    fit, moved = without_moved_targets(fit, options)
+    calibrated = calibrated_site_of(fit, options)
     report = write_report(
-        fit, setup, recipe, choice, [*rejected, *misfits, *bad, *moved], validate(fit, recipe)
+        fit,
+        calibrated,
+        options,
+        choice,
+        [*rejected, *outliers, *bad, *moved],
+        validate(fit, options),
     )
-    return Calibration(method, setup), report
+    return Calibration(method, calibrated), report
 
 
 __all__ = [

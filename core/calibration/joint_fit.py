@@ -9,7 +9,7 @@ from enum import StrEnum
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from core.adjustment.bundle_adjustment import Adjusted, AdjustmentPriors, Spreads, adjust, foresee
+from core.adjustment.bundle_adjustment import Adjusted, AdjustmentPriors, Spreads, adjust, predict
 from core.arrays import FloatArray
 from core.calibration.observability import drift_motions, require_motion
 from core.calibration.views import Rejected, Views
@@ -20,7 +20,7 @@ from core.errors import CalibrationError
 from core.geometry.lens import Lens
 from core.geometry.pose import Pose
 from core.lens.intrinsics import lens_prior
-from core.rig.calibrated_site import Levels, Setup
+from core.rig.calibrated_site import Baseline, CalibratedSite
 from core.rig.compensation import affine
 from core.rig.paper import PaperModel, fit_paper
 from core.rig.posterior import Posterior
@@ -47,7 +47,7 @@ class Method(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Recipe:
+class FitOptions:
     """What to fit."""
 
     site: Site
@@ -82,31 +82,31 @@ class Fit:
         return [pose.compose(self.reference_pose.inverse()) for pose in poses]
 
 
-def fit_views(views: Views, start: Lens, recipe: Recipe) -> Fit:
+def fit_views(views: Views, start: Lens, options: FitOptions) -> Fit:
     """Fit the model to the views. Raises NotObservableError if the motions are too few."""
-    nominal, B = recipe.board.corners_mm, _main_scale(views, recipe)
+    nominal, B = options.board.corners_mm, _main_scale(views, options)
     poses = [resect(start, nominal, v.board.view).pose for v in views.all]
     require_motion([p.compose(poses[0].inverse()) for p in poses[1 : 1 + len(views.rig)]])
-    if recipe.method is Method.RIGID:
-        return _fit_rigid(views, start, poses, B, recipe)
-    return _fit_paper(views, start, poses, B, recipe)
+    if options.method is Method.RIGID:
+        return _fit_rigid(views, start, poses, B, options)
+    return _fit_paper(views, start, poses, B, options)
 
 
-def foresee_fit(
-    views: Views, lens: Lens, poses: Sequence[Pose], recipe: Recipe, spreads: Spreads
+def predict_fit(
+    views: Views, lens: Lens, poses: Sequence[Pose], options: FitOptions, spreads: Spreads
 ) -> Fit:
     """Say what a fit of the rigid model to such views will know; views, lens and poses are exact.
 
     spreads are those of the print to come. Raises NotObservableError if the motions are too few.
     """
     require_motion([p.compose(poses[0].inverse()) for p in poses[1 : 1 + len(views.rig)]])
-    return _fit_rigid(views, lens, poses, _main_scale(views, recipe), recipe, spreads)
+    return _fit_rigid(views, lens, poses, _main_scale(views, options), options, spreads)
 
 
-def _main_scale(views: Views, recipe: Recipe) -> FloatArray:
+def _main_scale(views: Views, options: FitOptions) -> FloatArray:
     """B~ of Eq. 8 by the reference, (2, 2) px/mm."""
     discs = views.reference.discs
-    centres_mm = recipe.site.main_target.centres_mm
+    centres_mm = options.site.main_target.centres_mm
     return affine(centres_mm[discs.found], discs.points_px[discs.found])[0]
 
 
@@ -115,20 +115,20 @@ def _fit_rigid(
     start: Lens,
     poses: Sequence[Pose],
     B: FloatArray,
-    recipe: Recipe,
-    foreseen: Spreads | None = None,
+    options: FitOptions,
+    predicted: Spreads | None = None,
 ) -> Fit:
-    """Everything jointly, the survey as prior; with foreseen spreads nothing is moved."""
-    site, reference = recipe.site, views.reference.discs
+    """Everything jointly, the survey as prior; with predicted spreads nothing is moved."""
+    site, reference = options.site, views.reference.discs
     priors = AdjustmentPriors(
-        lens=lens_prior(site.sub, skew=recipe.skew, model=start.model),
+        lens=lens_prior(site.sub, skew=options.skew, model=start.model),
         rig=rig_prior(site),
         discs_px=disc_sigmas_px(reference),
     )
     main = [None, *(main_view(v.discs, reference) for v in views.rig), *(None for _ in views.lens)]
     boards = [v.board.view for v in views.all]
-    given = recipe.board, boards, start, poses, priors, drawn_rig(site, B), main
-    adjusted = adjust(*given) if foreseen is None else foresee(*given, foreseen)
+    given = options.board, boards, start, poses, priors, drawn_rig(site, B), main
+    adjusted = adjust(*given) if predicted is None else predict(*given, predicted)
     if adjusted.rig is None:
         msg = "calibration: the rig views show too little of the main target"
         raise CalibrationError(msg)
@@ -136,11 +136,11 @@ def _fit_rigid(
 
 
 def _fit_paper(
-    views: Views, start: Lens, poses: Sequence[Pose], B: FloatArray, recipe: Recipe
+    views: Views, start: Lens, poses: Sequence[Pose], B: FloatArray, options: FitOptions
 ) -> Fit:
     """The lens on the nominal board, then Eq. 17-19 on the mean of the discs."""
     perfect = AdjustmentPriors(
-        lens=lens_prior(recipe.site.sub, skew=recipe.skew, model=start.model),
+        lens=lens_prior(options.site.sub, skew=options.skew, model=start.model),
         scale=0.0,
         bow_mm=(0.0, 0.0, 0.0),
         line_mm=0.0,
@@ -148,7 +148,7 @@ def _fit_paper(
         discs_px=disc_sigmas_px(views.reference.discs),
     )
     boards = [v.board.view for v in views.all]
-    adjusted = adjust(recipe.board, boards, start, poses, perfect)
+    adjusted = adjust(options.board, boards, start, poses, perfect)
     reference = views.reference.discs
     motions, shifts = [], []
     for view, pose in zip(views.rig, adjusted.poses[1:], strict=False):
@@ -156,7 +156,7 @@ def _fit_paper(
         if main is not None:
             motions.append(pose.compose(adjusted.poses[0].inverse()))
             shifts.append((main.points_px - main.reference_px).mean(axis=0))
-    drawn = drawn_rig(recipe.site, B)
+    drawn = drawn_rig(options.site, B)
     middle = reference.points_px[reference.found].mean(axis=0)
     p_CS1 = drawn.T_CM_CS.inverse().apply(drawn.target_points_CM1(middle[None]))[0]
     start_B = drawn.scale_px_per_mm * drawn.T_CM_CS.R[:2]
@@ -191,7 +191,7 @@ def rig_prior(site: Site) -> FloatArray:
 
 def main_view(discs: Discs, reference: Discs) -> MainView | None:
     """The discs that are clear in a view and in the reference, or None."""
-    common = discs.found & reference.found & (discs.clean > _CLEAN)
+    common = discs.found & reference.found & (discs.explained_fraction > _CLEAN)
     if not common.any():
         return None
     which = np.nonzero(common)[0]
@@ -217,7 +217,7 @@ def main_misses_px(
     return np.asarray(main.points_px - main.reference_px - shift)
 
 
-def without_misfits(fit: Fit, recipe: Recipe) -> tuple[Fit, list[Rejected]]:
+def reject_outlier_views(fit: Fit, options: FitOptions) -> tuple[Fit, list[Rejected]]:
     """Fit again without the views whose corners fit far worse than the others'."""
     rms = np.array(fit.adjusted.view_rms_px)
     typical = float(np.median(rms))
@@ -243,10 +243,10 @@ def without_misfits(fit: Fit, recipe: Recipe) -> tuple[Fit, list[Rejected]]:
         if is_bad
     ]
     others = fit.views.without({name for name, _ in rejected})
-    return fit_views(others, fit.adjusted.lens, recipe), rejected
+    return fit_views(others, fit.adjusted.lens, options), rejected
 
 
-def without_moved_targets(fit: Fit, recipe: Recipe) -> tuple[Fit, list[Rejected]]:
+def without_moved_targets(fit: Fit, options: FitOptions) -> tuple[Fit, list[Rejected]]:
     """Fit again without the rig views in which the main target was not where it rested."""
     reference = fit.views.reference.discs
     off = np.array(
@@ -259,7 +259,7 @@ def without_moved_targets(fit: Fit, recipe: Recipe) -> tuple[Fit, list[Rejected]
     )
     typical = float(np.median(off))
     bad = off > max(_MOVED_FACTOR * typical, _MOVED_FLOOR_PX)
-    if recipe.method is not Method.RIGID or not bad.any() or bad.sum() > 0.3 * len(bad):
+    if options.method is not Method.RIGID or not bad.any() or bad.sum() > 0.3 * len(bad):
         return fit, []
     rejected = [
         (view.name, f"main target off by {miss:.2f} px, in the other views by {typical:.2f} px")
@@ -267,25 +267,25 @@ def without_moved_targets(fit: Fit, recipe: Recipe) -> tuple[Fit, list[Rejected]
         if is_bad
     ]
     others = fit.views.without({name for name, _ in rejected})
-    return fit_views(others, fit.adjusted.lens, recipe), rejected
+    return fit_views(others, fit.adjusted.lens, options), rejected
 
 
-def setup_of(fit: Fit, recipe: Recipe) -> Setup:
+def calibrated_site_of(fit: Fit, options: FitOptions) -> CalibratedSite:
     """What measurements need of a fit."""
-    setup = whole_setup(fit, recipe)
+    calibrated = whole_calibrated_site(fit, options)
     effects_px = [
-        expected_effects(setup, recipe.site.sub, motion)[0].through(fit.posterior)
-        for motion in (*fit.motions, *drift_motions(recipe.site.quality))
+        expected_effects(calibrated, options.site.sub, motion)[0].propagate(fit.posterior)
+        for motion in (*fit.motions, *drift_motions(options.site.quality))
     ]
     seen = fit.views.reference.discs.found
     effects_px.append(fit.posterior.discs[seen].mean(axis=0))  # raw displacement
-    return replace(setup, posterior=fit.posterior.compressed(np.concatenate(effects_px)))
+    return replace(calibrated, posterior=fit.posterior.compressed(np.concatenate(effects_px)))
 
 
-def whole_setup(fit: Fit, recipe: Recipe) -> Setup:
+def whole_calibrated_site(fit: Fit, options: FitOptions) -> CalibratedSite:
     """Likewise with all that the fit knows, what no measurement needs included."""
     reference = fit.views.reference
-    levels = Levels(
+    baseline = Baseline(
         float(np.median(fit.adjusted.view_rms_px)),
         # By single frames, as rows are; the reference may be a mean of many, in finer grey values.
         *_typical([(v.board.contrast_dn, v.board.blur_px) for v in fit.views.rig]),
@@ -293,8 +293,8 @@ def whole_setup(fit: Fit, recipe: Recipe) -> Setup:
         max(float(np.linalg.norm(m.rotation_rad)) for m in fit.motions),
         max(float(np.linalg.norm(m.t_mm)) for m in fit.motions),
     )
-    return Setup(
-        recipe.board,
+    return CalibratedSite(
+        options.board,
         fit.adjusted.corners_mm,
         fit.adjusted.lens,
         fit.reference_pose,
@@ -302,7 +302,7 @@ def whole_setup(fit: Fit, recipe: Recipe) -> Setup:
         fit.B,
         fit.model,
         fit.posterior,
-        levels,
+        baseline,
     )
 
 
@@ -311,7 +311,7 @@ def _typical(contrast_and_blur: Sequence[tuple[float, float]]) -> tuple[float, f
     return float(contrast_dn), float(blur_px)
 
 
-def validate(fit: Fit, recipe: Recipe) -> FloatArray:
+def validate(fit: Fit, options: FitOptions) -> FloatArray:
     """Errors (n, 2) mm at rig positions held out of a second fit; the target was at rest.
 
     Empty if too few positions would be left to fit to.
@@ -319,7 +319,7 @@ def validate(fit: Fit, recipe: Recipe) -> FloatArray:
     held = fit.views.rig[1::_HOLD_OUT_EVERY]
     try:
         kept = fit.views.without({view.name for view in held})
-        trial = fit_views(kept, fit.adjusted.lens, recipe)
+        trial = fit_views(kept, fit.adjusted.lens, options)
     except CalibrationError:
         return np.zeros((0, 2))
     errors = []

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-from core.calibration.joint_fit import MIN_LENS_VIEWS, Fit, Recipe, fit_views
+from core.calibration.joint_fit import MIN_LENS_VIEWS, Fit, FitOptions, fit_views
 from core.calibration.views import LensView, Rejected, Views
 from core.errors import CalibrationError
 from core.lens.lens_choice import LensChoice, choose_lens
 from core.lens.lens_start import StartLens, start_lens
 
 
-def start_from_views(views: Views, recipe: Recipe) -> tuple[StartLens, list[Rejected]]:
+def start_from_views(views: Views, options: FitOptions) -> tuple[StartLens, list[Rejected]]:
     """A lens to start from, and the lens views that do not fit.
 
     Without three lens views the rig views must do; they determine the focal length poorly.
     """
-    among, camera = _views_of_lens(views), recipe.site.sub
+    among, camera = _views_of_lens(views), options.site.sub
     start = start_lens(
         [v.board.view for v in among],
-        recipe.board,
+        options.board,
         (camera.width_px, camera.height_px),
         camera.focal_px,
-        recipe.site.lens_model,
+        options.site.lens_model,
     )
     reasons = dict(start.rejected)
     if 0 in reasons:
@@ -37,18 +37,18 @@ def _views_of_lens(views: Views) -> list[LensView]:
     return [views.reference, *chosen]
 
 
-def fit_chosen(views: Views, start: StartLens, recipe: Recipe) -> tuple[Fit, LensChoice]:
-    """Fit with the lens model that foretells held-out views best, on the board as fitted."""
-    fit = fit_views(views, start.lens, recipe)
-    choice = _choice(fit, recipe)
+def fit_chosen(views: Views, start: StartLens, options: FitOptions) -> tuple[Fit, LensChoice]:
+    """Fit with the lens model that predicts held-out views best, on the board as fitted."""
+    fit = fit_views(views, start.lens, options)
+    choice = _choice(fit, options)
     if choice.lens.model is fit.adjusted.lens.model:
         return fit, choice
-    fit = fit_views(views, choice.lens, recipe)
-    again = _choice(fit, recipe)  # the board is another now, too
+    fit = fit_views(views, choice.lens, options)
+    again = _choice(fit, options)  # the board is another now, too
     return fit, again if again.lens.model is fit.adjusted.lens.model else choice
 
 
-def _choice(fit: Fit, recipe: Recipe) -> LensChoice:
+def _choice(fit: Fit, options: FitOptions) -> LensChoice:
     """Rig views are near the reference: they would tell of one part of the image, many times."""
     among = {view.name for view in _views_of_lens(fit.views)}
     own = [k for k, view in enumerate(fit.views.all) if view.name in among]
@@ -57,5 +57,5 @@ def _choice(fit: Fit, recipe: Recipe) -> LensChoice:
         fit.adjusted.corners_mm,
         [fit.views.all[k].board.view for k in own],
         [fit.adjusted.poses[k] for k in own],
-        recipe.site.lens_model,
+        options.site.lens_model,
     )

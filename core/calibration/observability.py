@@ -10,7 +10,7 @@ import numpy as np
 from core.arrays import FloatArray
 from core.errors import NotObservableError
 from core.geometry.pose import Pose
-from core.rig.calibrated_site import Setup
+from core.rig.calibrated_site import CalibratedSite
 from core.rig.paper import PaperModel
 from core.rig.posterior import Posterior
 from core.rig.propagation import expected_effects
@@ -85,13 +85,15 @@ def drift_motions(limits: QualityLimits) -> tuple[Pose, ...]:
     return tuple(_along(axis, amount) for axis, amount in enumerate(amounts))
 
 
-def drift_errors(setup: Setup, site: Site) -> tuple[DriftError, ...]:
+def drift_errors(calibrated: CalibratedSite, site: Site) -> tuple[DriftError, ...]:
     """Expected error (1 sigma, mm, the worse direction) of a row for each drift motion."""
     errors = []
     for name, motion in zip(AXES, drift_motions(site.quality), strict=True):
-        expected = _expect(setup, site, motion)
+        expected = _expect(calibrated, site, motion)
         errors.append(
-            DriftError(name, expected.sigma_mm(setup), expected.sigma_mm(setup, noise=False))
+            DriftError(
+                name, expected.sigma_mm(calibrated), expected.sigma_mm(calibrated, noise=False)
+            )
         )
     return tuple(errors)
 
@@ -100,7 +102,7 @@ def drift_errors(setup: Setup, site: Site) -> tuple[DriftError, ...]:
 class _Expected:
     """What a row will be like after a rig motion."""
 
-    through: FloatArray
+    jacobian_px: FloatArray
     """(2, r) px, by the posterior's columns."""
     own_px2: FloatArray
     """(2, 2) from the corners' own errors."""
@@ -108,20 +110,22 @@ class _Expected:
     """(2, 2) from the row's own images."""
 
     def sigma_mm(
-        self, setup: Setup, knowledge: FloatArray | None = None, *, noise: bool = True
+        self, calibrated: CalibratedSite, knowledge: FloatArray | None = None, *, noise: bool = True
     ) -> float:
         """1 sigma, mm, the worse direction; knowledge (r, r) replaces the identity."""
-        inner = self.through if knowledge is None else self.through @ knowledge
-        covariance = inner @ self.through.T + self.own_px2
+        inner = self.jacobian_px if knowledge is None else self.jacobian_px @ knowledge
+        covariance = inner @ self.jacobian_px.T + self.own_px2
         if noise:
             covariance = covariance + self.noise_px2
-        to_mm = np.linalg.inv(setup.B)
+        to_mm = np.linalg.inv(calibrated.B)
         return float(np.sqrt(np.linalg.eigvalsh(to_mm @ covariance @ to_mm.T).max()))
 
 
-def _expect(setup: Setup, site: Site, motion: Pose) -> _Expected:
-    effects, noise = expected_effects(setup, site.sub, motion)
-    return _Expected(effects.through(setup.posterior), effects.own(setup.posterior), noise)
+def _expect(calibrated: CalibratedSite, site: Site, motion: Pose) -> _Expected:
+    effects, noise = expected_effects(calibrated, site.sub, motion)
+    return _Expected(
+        effects.propagate(calibrated.posterior), effects.own(calibrated.posterior), noise
+    )
 
 
 _FURTHER: tuple[tuple[str, int, float | None], ...] = (
@@ -136,20 +140,20 @@ _FURTHER: tuple[tuple[str, int, float | None], ...] = (
 _WORTHWHILE = 0.85
 
 
-def further_motion(setup: Setup, site: Site) -> str | None:
+def further_motion(calibrated: CalibratedSite, site: Site) -> str | None:
     """Say which further motion would sharpen the worst drift correction most, or None.
 
     Each candidate is added to the calibration as two positions either way, seen as the rows
     are, with the target at rest (a Kalman update of all that the calibration knows).
     """
-    drifts = [_expect(setup, site, motion) for motion in drift_motions(site.quality)]
-    now = [drift.sigma_mm(setup) for drift in drifts]
-    turn = 2.0 * setup.levels.max_rotation_rad
+    drifts = [_expect(calibrated, site, motion) for motion in drift_motions(site.quality)]
+    now = [drift.sigma_mm(calibrated) for drift in drifts]
+    turn = 2.0 * calibrated.baseline.max_rotation_rad
     best, words = max(now), ""
     for text, axis, amount in _FURTHER:
         step = turn if amount is None else amount
-        knowledge = _with_positions(setup, site, [_along(axis, step), _along(axis, -step)])
-        worst = max(drift.sigma_mm(setup, knowledge) for drift in drifts)
+        knowledge = _with_positions(calibrated, site, [_along(axis, step), _along(axis, -step)])
+        worst = max(drift.sigma_mm(calibrated, knowledge) for drift in drifts)
         if worst < best:
             best, words = worst, text.format(mrad=turn * 1e3)
     if not words or best > _WORTHWHILE * max(now):
@@ -160,13 +164,13 @@ def further_motion(setup: Setup, site: Site) -> str | None:
     )
 
 
-def _with_positions(setup: Setup, site: Site, motions: Sequence[Pose]) -> FloatArray:
+def _with_positions(calibrated: CalibratedSite, site: Site, motions: Sequence[Pose]) -> FloatArray:
     """(r, r) what is left of the posterior's columns after two views of each further position."""
-    information = np.eye(setup.posterior.lens.shape[1])
+    information = np.eye(calibrated.posterior.lens.shape[1])
     for motion in motions:
-        seen = _expect(setup, site, motion)
-        weighted = np.linalg.solve(seen.noise_px2 + seen.own_px2, seen.through)
-        information += 2.0 * seen.through.T @ weighted
+        seen = _expect(calibrated, site, motion)
+        weighted = np.linalg.solve(seen.noise_px2 + seen.own_px2, seen.jacobian_px)
+        information += 2.0 * seen.jacobian_px.T @ weighted
     return np.asarray(np.linalg.inv(information))
 
 

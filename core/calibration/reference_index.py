@@ -27,17 +27,17 @@ def place_reference(views: Views, lens: Lens, site: Site, board: Board) -> Views
     back as they are if the reference is certain, such lens views are too few, or no place fits
     clearly better than the others.
     """
-    known = [view for view in views.lens if view.board.certain]
-    if views.reference.board.certain or len(known) < _LEAST_VIEWS:
+    known = [view for view in views.lens if view.board.unambiguous]
+    if views.reference.board.unambiguous or len(known) < _LEAST_VIEWS:
         return views
     lens, corners_mm = _as_printed(known, lens, site, board)
     seen = views.reference.board.view
     places = [replace(seen, index=index) for index in _places(seen.index, board)]
-    misfits = [resect(lens, corners_mm, place).plain_rms_px for place in places]
-    order = np.argsort(misfits)
-    if len(order) > 1 and misfits[order[1]] < _CLEARLY_BETTER * misfits[order[0]]:
+    outliers = [resect(lens, corners_mm, place).plain_rms_px for place in places]
+    order = np.argsort(outliers)
+    if len(order) > 1 and outliers[order[1]] < _CLEARLY_BETTER * outliers[order[0]]:
         return views
-    placed = replace(views.reference.board, view=places[order[0]], certain=True)
+    placed = replace(views.reference.board, view=places[order[0]], unambiguous=True)
     return replace(views, reference=replace(views.reference, board=placed))
 
 

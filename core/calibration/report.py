@@ -11,7 +11,7 @@ from core.arrays import FloatArray
 from core.calibration.joint_fit import (
     MIN_LENS_VIEWS,
     Fit,
-    Recipe,
+    FitOptions,
     drawn_rig,
     main_misses_px,
     rig_prior,
@@ -28,7 +28,7 @@ from core.checkerboard.resection import resect
 from core.lens.lens_choice import LensChoice
 from core.lens.lens_coverage import lens_coverage
 from core.results import CalibrationReport
-from core.rig.calibrated_site import Setup
+from core.rig.calibrated_site import CalibratedSite
 from core.rig.compensation import affine_error_px
 from core.rig.paper import PaperModel
 from core.rig.rigid import Rig
@@ -41,16 +41,16 @@ _FAR_SIGMAS = 4.5
 
 def write_report(
     fit: Fit,
-    setup: Setup,
-    recipe: Recipe,
+    calibrated: CalibratedSite,
+    options: FitOptions,
     choice: LensChoice,
     rejected: Sequence[Rejected],
     held_out: FloatArray,
 ) -> CalibrationReport:
     """Judge a calibration. held_out (n, 2) are the errors in mm at held-out positions."""
-    drift = drift_errors(setup, recipe.site)
-    problems = _problems(fit, setup, recipe, drift, held_out)
-    figures = _figures(fit, setup, recipe, drift, held_out)
+    drift = drift_errors(calibrated, options.site)
+    problems = _problems(fit, calibrated, options, drift, held_out)
+    figures = _figures(fit, calibrated, options, drift, held_out)
     figures["rejected"] = [{"view": name, "reason": reason} for name, reason in rejected]
     figures["problems"] = problems
     figures["lens_held_out_px"] = {m.value: px for m, px in choice.held_out_px.items()}
@@ -67,12 +67,12 @@ def write_report(
             f"{figures['main_rms_px']:.4f} px rms"
         ),
         choice.sentence,
-        model_sentence(setup.model),
+        model_sentence(calibrated.model),
         "expected error of a row after the drift expected (1 sigma, in brackets the calibration's "
         "part): "
         + ", ".join(f"{d.motion} {d.sigma_mm:.3f} mm ({d.calibration_mm:.3f})" for d in drift),
     ]
-    advice = further_motion(setup, recipe.site)
+    advice = further_motion(calibrated, options.site)
     if advice is not None:
         lines.append(advice)
     if len(held_out):
@@ -90,13 +90,13 @@ def _rms(errors: FloatArray) -> float:
 
 def _problems(
     fit: Fit,
-    setup: Setup,
-    recipe: Recipe,
+    calibrated: CalibratedSite,
+    options: FitOptions,
     drift: Sequence[DriftError],
     held_out: FloatArray,
 ) -> list[str]:
     """Why the calibration should not be used; empty if it may."""
-    limit = recipe.site.quality.max_sigma_mm
+    limit = options.site.quality.max_sigma_mm
     worst = max(drift, key=lambda d: d.sigma_mm)
     problems = []
     if worst.sigma_mm > limit:
@@ -111,22 +111,22 @@ def _problems(
             f"{len(fit.views.lens)} lens views; pan and tilt do not determine the lens, take 12 "
             "or more views with the board in the hand"
         )
-    problems += _contradictions(setup, recipe)
-    if isinstance(setup.model, PaperModel) and setup.model.null_directions:
+    problems += _contradictions(calibrated, options)
+    if isinstance(calibrated.model, PaperModel) and calibrated.model.null_directions:
         problems.append(
-            f"{setup.model.null_directions} of the paper's nine parameters are not determined by "
-            "the motions; use --method rigid"
+            f"{calibrated.model.null_directions} of the paper's nine parameters are not determined "
+            "by the motions; use --method rigid"
         )
     return problems
 
 
-def _contradictions(setup: Setup, recipe: Recipe) -> list[str]:
+def _contradictions(calibrated: CalibratedSite, options: FitOptions) -> list[str]:
     """Where the views put the rig far from what drawing and survey say."""
-    if not isinstance(setup.model, Rig):
+    if not isinstance(calibrated.model, Rig):
         return []
-    site = recipe.site
-    drawn = drawn_rig(site, setup.B)
-    sigmas = np.abs(setup.model.deviation_from(drawn)) / rig_prior(site)
+    site = options.site
+    drawn = drawn_rig(site, calibrated.B)
+    sigmas = np.abs(calibrated.model.deviation_from(drawn)) / rig_prior(site)
     turn, offset = float(np.linalg.norm(sigmas[:3])), float(np.linalg.norm(sigmas[3:6]))
     distance, scale = float(sigmas[6]), float(sigmas[7])
     problems = []
@@ -150,7 +150,7 @@ def _warnings(fit: Fit, figures: dict[str, Any]) -> list[str]:
         warnings.append(
             f"warning: {len(fit.views.lens)} lens views; take 12 or more, the board in the hand"
         )
-    if not fit.views.reference.board.certain:
+    if not fit.views.reference.board.unambiguous:
         warnings.append(
             "warning: which part of the board the reference shows is not certain; let at least "
             "one border of the board into the sub image in each direction"
@@ -164,60 +164,64 @@ def _warnings(fit: Fit, figures: dict[str, Any]) -> list[str]:
 
 
 def _figures(
-    fit: Fit, setup: Setup, recipe: Recipe, drift: Sequence[DriftError], held_out: FloatArray
+    fit: Fit,
+    calibrated: CalibratedSite,
+    options: FitOptions,
+    drift: Sequence[DriftError],
+    held_out: FloatArray,
 ) -> dict[str, Any]:
     reference = fit.views.reference.discs
     misses = [
-        main_misses_px(setup.model, view.discs, reference, motion)
+        main_misses_px(calibrated.model, view.discs, reference, motion)
         for view, motion in zip(fit.views.rig, fit.motions, strict=True)
     ]
-    site = recipe.site
-    off_axis = float(np.nanmax(np.abs(setup.reference_discs_px - site.main.centre_px)))
+    site = options.site
+    off_axis = float(np.nanmax(np.abs(calibrated.reference_discs_px - site.main.centre_px)))
     figures: dict[str, Any] = {
-        "method": recipe.method.value,
-        "sub_rms_px": setup.levels.sub_rms_px,
+        "method": options.method.value,
+        "sub_rms_px": calibrated.baseline.sub_rms_px,
         "main_rms_px": float(np.sqrt(np.mean(np.concatenate(misses) ** 2))),
         "view_rms_px": {
             v.name: round(r, 5)
             for v, r in zip(fit.views.all, fit.adjusted.view_rms_px, strict=True)
         },
-        "lens_model": setup.lens.model.value,
-        "lens": setup.lens.parameters.tolist(),
+        "lens_model": calibrated.lens.model.value,
+        "lens": calibrated.lens.parameters.tolist(),
         "lens_sigma": fit.posterior.lens_sigma.tolist(),
         "board_scale": fit.adjusted.shape[:2].tolist(),
-        "board_bow_mm": float(np.ptp(setup.corners_mm[:, 2])),
+        "board_bow_mm": float(np.ptp(calibrated.corners_mm[:, 2])),
         "board_spread_mm": {
             "columns": fit.adjusted.spreads.column_mm,
             "rows": fit.adjusted.spreads.row_mm,
             "corners": fit.adjusted.spreads.corner_mm,
         },
-        "px_per_mm": float(np.linalg.svd(setup.B, compute_uv=False)[0]),
+        "px_per_mm": float(np.linalg.svd(calibrated.B, compute_uv=False)[0]),
         "expected_error_mm": {d.motion: d.sigma_mm for d in drift},
         "held_out_mm": held_out.tolist(),
         "affine_error_px": affine_error_px(
             site.main_target.distance_mm, site.quality.expected_drift_mm, off_axis
         ),
-        "max_rotation_mrad": setup.levels.max_rotation_rad * 1e3,
-        "rig_views": _rig_views(fit, setup),
+        "max_rotation_mrad": calibrated.baseline.max_rotation_rad * 1e3,
+        "rig_views": _rig_views(fit, calibrated),
         "image_cells": _image_cells(fit, site),
     }
-    if isinstance(setup.model, Rig):
+    if isinstance(calibrated.model, Rig):
         figures["determined_by_views"] = determined_share(fit.posterior, rig_prior(site)).tolist()
         figures["rig_sigma"] = fit.posterior.model_sigma.tolist()
-        figures["depth_mm"] = setup.model.depth_mm
+        figures["depth_mm"] = calibrated.model.depth_mm
     else:
-        figures["singular_values"] = setup.model.singular_values.tolist()
+        figures["singular_values"] = calibrated.model.singular_values.tolist()
     return figures
 
 
-def _rig_views(fit: Fit, setup: Setup) -> list[dict[str, Any]]:
+def _rig_views(fit: Fit, calibrated: CalibratedSite) -> list[dict[str, Any]]:
     """Each rig position as a row would see it: the motion by the sub image alone, what is left."""
-    to_mm, reference = np.linalg.inv(setup.B), fit.views.reference.discs
+    to_mm, reference = np.linalg.inv(calibrated.B), fit.views.reference.discs
     positions = []
     for view in fit.views.rig:
-        pose = resect(setup.lens, setup.corners_mm, view.board.view).pose
-        motion = pose.compose(setup.reference_pose.inverse())
-        left_px = main_misses_px(setup.model, view.discs, reference, motion).mean(axis=0)
+        pose = resect(calibrated.lens, calibrated.corners_mm, view.board.view).pose
+        motion = pose.compose(calibrated.reference_pose.inverse())
+        left_px = main_misses_px(calibrated.model, view.discs, reference, motion).mean(axis=0)
         positions.append(
             {
                 "view": view.name,

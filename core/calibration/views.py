@@ -77,7 +77,7 @@ Rejected = tuple[str, str]
 """The name of a view that is not used, and the reason."""
 
 
-def look(
+def find_targets(
     views: Sequence[CalibrationView], site: Site, board: Board
 ) -> tuple[Views, list[Rejected]]:
     """Find the targets in all views; rig and lens views without them are rejected.
@@ -140,7 +140,9 @@ def relocate(views: Views, lens: Lens, board: Board) -> Views:
 
     def again(view: LensView) -> LocatedBoard:
         pose = resect(lens, nominal, view.board.view).pose
-        return refine_board(view.sub, lens, pose, board, nominal, certain=view.board.certain)
+        return refine_board(
+            view.sub, lens, pose, board, nominal, unambiguous=view.board.unambiguous
+        )
 
     return Views(
         replace(views.reference, board=again(views.reference)),

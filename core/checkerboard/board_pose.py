@@ -34,7 +34,7 @@ def board_pose(
     """
     corners_mm = board.corners_mm if corners_mm is None else corners_mm
     found = detect_board(image, board)
-    if not found.certain:
+    if not found.unambiguous:
         msg = (
             "board: which part of it is seen is not certain; let at least one border of the board "
             "into the image in each direction"

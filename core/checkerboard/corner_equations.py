@@ -70,7 +70,7 @@ def sum_up(
     h1 = hu = hv = hs = hsu = hsv = hb = hh = _ZERO  # w by_shift_u (... by_shift_u)
     k1 = ku = kv = ks = ksu = ksv = kb = kh = kk = _ZERO  # w by_shift_v (... by_shift_v)
     m1 = mu = mv = ms = msu = msv = mb = mh = mk = mm = _ZERO  # w miss (... miss)
-    told = _ZERO
+    effective_count = _ZERO
     for i in range(count):
         u, v = us[i], vs[i]
         du, dv = u - shift_u, v - shift_v
@@ -93,7 +93,7 @@ def sum_up(
         faded = _ONE / (beyond * beyond)
         faded = _ZERO if model >= saturation and greys[i] >= saturation else faded
         w = pixels[i] * faded / variance
-        told += min(pixels[i], faded)
+        effective_count += min(pixels[i], faded)
         wu, wv, ws = w * u, w * v, w * s
         s_u, s_v, ws_u, ws_v = s * u, s * v, ws * u, ws * v
         n1, nu, nv = n1 + w, nu + wu, nv + wv
@@ -127,7 +127,7 @@ def sum_up(
     _place(normal, 8, (k1, ku, kv, ks, ksu, ksv, kb, kh, kk))
     right[0], right[1], right[2], right[3], right[4] = m1, mu, mv, ms, msu
     right[5], right[6], right[7], right[8] = msv, mb, mh, mk
-    return float(mm), float(told)
+    return float(mm), float(effective_count)
 
 
 @compiled

@@ -9,7 +9,7 @@ import numpy as np
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.checkerboard.corner_equations import BLUR, CORNER_PARAMETERS, GAIN, SHIFT
 from core.checkerboard.corner_kernels import NO_SIDES, fit_corners, fit_even_corners
-from core.checkerboard.image_noise import look
+from core.checkerboard.image_noise import estimate_noise
 from core.checkerboard.light_kernels import BOX, box_means
 from core.grey_fit import covariances
 from core.images import PixelArray
@@ -76,7 +76,7 @@ def locate_corners(
     points_px, maps = np.ascontiguousarray(points_px), np.ascontiguousarray(maps)
     n = len(points_px)
     half_px, square_px = _extent(maps, reach_squares)
-    seen = look(pixels, points_px, maps, half_px, reach_squares, saturation_dn)
+    seen = estimate_noise(pixels, points_px, maps, half_px, reach_squares, saturation_dn)
     state, information = np.zeros((n, CORNER_PARAMETERS)), np.zeros((n, 2, 2))
     figures = np.zeros((n, 3))
     blur = float(np.median(seen.blur_px[:, 0])) if n else 1.0
@@ -96,7 +96,7 @@ def locate_corners(
         _STEPS, state, information, figures, NO_SIDES,
     )  # fmt: skip
     ok = figures[:, 2] > 0
-    factor = np.sqrt(_misfit(figures))
+    factor = np.sqrt(_residual_ratio(figures))
     return CornerFits(
         seen.points_px + state[:, SHIFT:],
         covariances(information, factor, ok),
@@ -108,16 +108,16 @@ def locate_corners(
     )
 
 
-def _misfit(figures: FloatArray) -> FloatArray:
+def _residual_ratio(figures: FloatArray) -> FloatArray:
     """(n,) mean square of the misses over what the noise explains."""
     return np.asarray(figures[:, 0] / np.maximum(figures[:, 1], 1.0))
 
 
 def _odd(figures: FloatArray) -> IntArray:
     """Index of the corners that even light and noise alone do not explain."""
-    even, misfit = figures[:, 2] > 0, _misfit(figures)
+    even, residual_ratio = figures[:, 2] > 0, _residual_ratio(figures)
     if even.any():
-        even &= misfit < _ODD * np.median(misfit[even])
+        even &= residual_ratio < _ODD * np.median(residual_ratio[even])
     return np.nonzero(~even)[0]
 
 

@@ -201,10 +201,10 @@ def fit_corners(
         p[BLUR] = blurs[k, 0]
         padded = (count + _LANES - 1) // _LANES * _LANES
         samples[:, count:padded] = 0.0
-        usable, squares, told = True, 0.0, 0.0
+        usable, squares, effective_count = True, 0.0, 0.0
         for turn in range(iterations):
             _pack(p, blurs[k], noise, limits[3], noise[4] if turn > 0 else 0.0, c)
-            squares, told = sum_up(samples, padded, c, normal, right)
+            squares, effective_count = sum_up(samples, padded, c, normal, right)
             factor[:, :] = normal
             step[:] = right
             usable = solve_spd(factor, step, n)
@@ -225,7 +225,7 @@ def fit_corners(
             if abs(p[SHIFT]) + abs(p[SHIFT + 1]) > 0.5 * half[k]:
                 usable = False
                 break
-        figures[k, 0], figures[k, 1] = squares, told - n
+        figures[k, 0], figures[k, 1] = squares, effective_count - n
         if usable:
             _information(factor, n, information[k])
             figures[k, 2] = 1.0

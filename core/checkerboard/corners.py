@@ -14,7 +14,7 @@ from core.checkerboard.lattice import Lattice, NamedLattice, join, name_near, na
 from core.checkerboard.map_kernels import TERMS, fit_maps
 from core.checkerboard.resection import MIN_CORNERS, BoardView, resect
 from core.checkerboard.saddle_points import find_saddles
-from core.checkerboard.spurious_lines import without_strays
+from core.checkerboard.spurious_lines import without_spurious_lines
 from core.errors import TargetNotFoundError
 from core.geometry.lens import Lens
 from core.geometry.pose import Pose
@@ -39,7 +39,7 @@ class LocatedBoard:
     """What an image shows of the board."""
 
     view: BoardView
-    certain: bool
+    unambiguous: bool
     """False if the corners could also be others of the board (only part of it was seen)."""
     white_dn: FloatArray
     """(m,) grey of the white squares about each of the view's corners."""
@@ -71,7 +71,7 @@ def detect_board(image: GreyImage, board: Board) -> LocatedBoard:
     square_px = float(np.median(np.linalg.norm(named.steps_px, axis=1)))
     reach = float(np.clip(_FIRST_REACH_PX / square_px, _FIRST_REACH_SQUARES, CORNER_REACH_SQUARES))
     fits = locate_corners(image.pixels, image.saturation_dn, named.points_px, maps, reach)
-    return _located(named.index, fits, None, certain=named.certain)
+    return _located(named.index, fits, None, unambiguous=named.unambiguous)
 
 
 def locate_board(
@@ -92,14 +92,14 @@ def locate_board(
     tried = []
     for named in candidates:
         pose = _rough_pose(lens, corners_mm, named, expected)
-        located = refine_board(image, lens, pose, board, corners_mm, certain=named.certain)
+        located = refine_board(image, lens, pose, board, corners_mm, unambiguous=named.unambiguous)
         if len(candidates) == 1:
             return located
         tried.append((resect(lens, corners_mm, located.view, pose).plain_rms_px, located))
     nearest = tried[0][1]
     tried.sort(key=lambda attempt: attempt[0])
     if tried[1][0] > _CLEARLY_BETTER * tried[0][0]:
-        return replace(tried[0][1], certain=True)
+        return replace(tried[0][1], unambiguous=True)
     return nearest
 
 
@@ -122,7 +122,7 @@ def refine_board(
     board: Board,
     corners_mm: FloatArray,
     *,
-    certain: bool = True,
+    unambiguous: bool = True,
 ) -> LocatedBoard:
     """Locate all corners near where a predicted pose `T_CS_WS` puts them.
 
@@ -134,7 +134,7 @@ def refine_board(
         msg = "sub target: the predicted pose puts no corner into the image"
         raise TargetNotFoundError(msg)
     fits = locate_corners(image.pixels, image.saturation_dn, points, maps)
-    return _located(index, fits, pose, certain=certain)
+    return _located(index, fits, pose, unambiguous=unambiguous)
 
 
 def _lattice(image: GreyImage, square_px: float = 0.0, wanted: int = 0) -> Lattice:
@@ -155,7 +155,7 @@ def _lattice(image: GreyImage, square_px: float = 0.0, wanted: int = 0) -> Latti
             found = join(
                 replace(saddles, points_px=points), max(_BLIND_PX, _BLIND_SHRUNK_PX * factor)
             )
-            lattice = without_strays(found, width, height)
+            lattice = without_spurious_lines(found, width, height)
         except TargetNotFoundError as error:
             trouble = error
             continue
@@ -179,7 +179,7 @@ def _shrunk(image: GreyImage, factor: int) -> FloatArray:
 
 
 def _located(
-    index: IntArray, fits: CornerFits, near: Pose | None, *, certain: bool
+    index: IntArray, fits: CornerFits, near: Pose | None, *, unambiguous: bool
 ) -> LocatedBoard:
     usable = fits.usable & _alike(fits)
     view = BoardView(index, fits.points_px, fits.covariance_px2).select(usable)
@@ -191,7 +191,7 @@ def _located(
         raise TargetNotFoundError(msg)
     return LocatedBoard(
         view,
-        certain,
+        unambiguous,
         (fits.light_dn + 0.5 * fits.contrast_dn)[usable],
         (fits.light_dn - 0.5 * fits.contrast_dn)[usable],
         fits.points_px[~usable],

@@ -67,8 +67,8 @@ _UNWEIGHTED = np.array([1.0, 0.0, 1.0, 1.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True, slots=True)
-class FirstLook:
-    """What a sample of the corners told."""
+class NoiseEstimate:
+    """What a sample of the corners says of noise and blur."""
 
     points_px: FloatArray
     """(n, 2) where all corners are expected now."""
@@ -81,14 +81,14 @@ class FirstLook:
     """(6,) see GreyNoise.weights."""
 
 
-def look(
+def estimate_noise(
     pixels: PixelArray,
     points_px: FloatArray,
     maps: FloatArray,
     half_px: FloatArray,
     reach_squares: float,
     saturation_dn: float,
-) -> FirstLook:
+) -> NoiseEstimate:
     """Fit some corners, every pixel alike, from predictions that may be off by a pixel or so."""
     n = len(points_px)
     some = _some(n)
@@ -102,21 +102,21 @@ def look(
     some = some[figures[some, 2] > 0]
     if len(some) == 0:
         noise = GreyNoise.alike(1.0)
-        return FirstLook(points_px, _no_slopes(n, 1.0), noise, 1.0, noise.weights(0.0))
+        return NoiseEstimate(points_px, _no_slopes(n, 1.0), noise, 1.0, noise.weights(0.0))
     noise, noise_dn = _noise(state[some], sides[some], figures[some])
     shift_px, blur_px = _fields(points_px, some, state[some, BLUR:])
     contrast_dn = 2.0 * float(np.median(np.abs(state[some, GAIN])))
-    return FirstLook(points_px + shift_px, blur_px, noise, noise_dn, noise.weights(contrast_dn))
+    return NoiseEstimate(points_px + shift_px, blur_px, noise, noise_dn, noise.weights(contrast_dn))
 
 
 def _noise(state: FloatArray, sides: FloatArray, figures: FloatArray) -> tuple[GreyNoise, float]:
     """Median of what the corners' dark and bright pixels off the edges say, and the rms of both."""
     sides = np.where((state[:, GAIN] > 0.0)[:, None, None], sides, sides[:, ::-1])
-    told = (sides[:, :, 0] >= _FEWEST_FLAT).all(axis=1)
-    if told.sum() < _FEWEST_CORNERS:
+    enough = (sides[:, :, 0] >= _FEWEST_FLAT).all(axis=1)
+    if enough.sum() < _FEWEST_CORNERS:
         variance = float(np.median(figures[:, 0] / figures[:, 1])) + _ROUNDING_DN2
         return GreyNoise.alike(variance), float(np.sqrt(variance))
-    means = sides[told, :, 1:] / sides[told, :, :1]
+    means = sides[enough, :, 1:] / sides[enough, :, :1]
     greys, variances = np.median(means[:, :, 0], axis=0), np.median(means[:, :, 1], axis=0)
     rms_dn = float(np.sqrt(max(variances.mean(), _ROUNDING_DN2)))
     if not greys[1] > greys[0]:

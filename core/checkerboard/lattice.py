@@ -88,7 +88,7 @@ class NamedLattice:
     """(n, 2)."""
     steps_px: FloatArray
     """(n, 2, 2) d(px)/d(square): columns are one square along i and along j."""
-    certain: bool
+    unambiguous: bool
     """False if another position on the board would fit as well."""
 
 
@@ -103,7 +103,7 @@ def name_on_board(lattice: Lattice, board: Board, width_px: int, height_px: int)
         turned = _turned(lattice, quarter)
         places = _at_borders(turned, board, _places(turned, board), width_px, height_px)
         if places:
-            return _named(turned, board, places[len(places) // 2], certain=len(places) == 1)
+            return _named(turned, board, places[len(places) // 2], unambiguous=len(places) == 1)
     raise TargetNotFoundError(_no_place(lattice, board))
 
 
@@ -132,15 +132,15 @@ def name_near(
     if len(places) > 1 and len(bordered) != 1 and away[places[0]] > 0.5 * away[places[1]]:
         candidates.append(places[1])
     unique = list(dict.fromkeys(candidates))
-    return tuple(_named(lattice, board, place, certain=len(unique) == 1) for place in unique)
+    return tuple(_named(lattice, board, place, unambiguous=len(unique) == 1) for place in unique)
 
 
 def _named(
-    lattice: Lattice, board: Board, place: tuple[int, int], *, certain: bool
+    lattice: Lattice, board: Board, place: tuple[int, int], *, unambiguous: bool
 ) -> NamedLattice:
     ij = lattice.ij + place
     index = board.index(ij[:, 0], ij[:, 1])
-    return NamedLattice(index, lattice.points_px, _steps(lattice), certain)
+    return NamedLattice(index, lattice.points_px, _steps(lattice), unambiguous)
 
 
 def _no_place(lattice: Lattice, board: Board) -> str:

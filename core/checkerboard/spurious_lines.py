@@ -14,7 +14,7 @@ _SPARE_PX = 4.0
 """A line that would be this near to where corners are not looked for any more counts as seen."""
 
 
-def without_strays(lattice: Lattice, width_px: int, height_px: int) -> Lattice:
+def without_spurious_lines(lattice: Lattice, width_px: int, height_px: int) -> Lattice:
     """Drop outer lines of which most corners ought to be seen in the image but are not.
 
     A frame printed about a board, or a finger at its edge, gives corners of its own that line up

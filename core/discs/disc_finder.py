@@ -9,7 +9,14 @@ import numpy as np
 from core.arrays import BoolArray, FloatArray
 from core.discs.blobs import FEW_LEVELS, MANY_LEVELS, NO_BLOBS, Blobs, find_blobs
 from core.discs.disc_fit import DiscFits, locate_discs
-from core.discs.layout import MIN_DISCS, SCALE_TOLERANCE, Expectation, Layout, Naming, name_discs
+from core.discs.layout import (
+    MIN_DISCS,
+    SCALE_TOLERANCE,
+    DiscAssignment,
+    Expectation,
+    Layout,
+    identify_discs,
+)
 from core.errors import TargetNotFoundError
 from core.images import GreyImage
 from core.site import CirclesTarget
@@ -33,7 +40,7 @@ class Discs:
     """(n, 2), NaN where not found."""
     covariance_px2: FloatArray
     """(n, 2, 2), NaN where not found."""
-    clean: FloatArray
+    explained_fraction: FloatArray
     """(n,) share of each outline's pixels that look like a disc's."""
     contrast_dn: float
     blur_px: float
@@ -56,18 +63,18 @@ def find_discs(
     expected = Expectation(
         expected_px_per_mm, expected_px, upright_deg=_MAX_ROLL_DEG, max_roll_deg=_MAX_ROLL_DEG
     )
-    blobs, naming = _search(image, layout, expected)
+    blobs, assignment = _search(image, layout, expected)
     n = len(target.centres_mm)
-    if naming is None:
+    if assignment is None:
         msg = (
             f"main target: fewer than {MIN_DISCS} of {n} discs found "
             f"({len(blobs.points_px)} round bright spots in the image), {MIN_DISCS} are needed"
         )
         raise TargetNotFoundError(msg)
-    if not naming.certain:
+    if not assignment.unambiguous:
         msg = "main target: its discs can be named in more than one way"
         raise TargetNotFoundError(msg)
-    at, which = naming.spots, naming.discs
+    at, which = assignment.spots, assignment.discs
     fits = locate_discs(
         image.pixels, image.saturation_dn, blobs.points_px[at], blobs.outline_px[at]
     )
@@ -76,16 +83,20 @@ def find_discs(
         msg = f"main target: only {int(good.sum())} of {n} discs are clear enough to measure"
         raise TargetNotFoundError(msg)
     found = np.zeros(n, dtype=bool)
-    points, covariance, clean = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan), np.zeros(n)
+    points, covariance, explained_fraction = (
+        np.full((n, 2), np.nan),
+        np.full((n, 2, 2), np.nan),
+        np.zeros(n),
+    )
     found[which[good]] = True
     points[which[good]] = fits.points_px[good]
     covariance[which[good]] = fits.covariance_px2[good]
-    clean[which] = fits.clean
+    explained_fraction[which] = fits.explained_fraction
     return Discs(
         found,
         points,
         covariance,
-        clean,
+        explained_fraction,
         float(np.median(fits.contrast_dn[good])),
         float(np.median(fits.blur_px[good])),
     )
@@ -93,21 +104,23 @@ def find_discs(
 
 def clear_fits(fits: DiscFits) -> BoolArray:
     """Which discs (n,) stand out from the noise and look like discs for most of their outline."""
-    good = fits.usable & (fits.clean > _MIN_CLEAN)
+    good = fits.usable & (fits.explained_fraction > _MIN_CLEAN)
     return np.asarray(good & (fits.contrast_dn > 4.0 * fits.noise_dn / np.sqrt(10.0)))
 
 
-def _search(image: GreyImage, layout: Layout, expected: Expectation) -> tuple[Blobs, Naming | None]:
+def _search(
+    image: GreyImage, layout: Layout, expected: Expectation
+) -> tuple[Blobs, DiscAssignment | None]:
     """Look quickly at the size expected; where a disc is missing, thoroughly."""
-    blobs, naming = NO_BLOBS, None
+    blobs, assignment = NO_BLOBS, None
     for shrink, levels in _stages(image, layout, expected):
         seen = _candidates(find_blobs(image.pixels, shrink, levels), layout, expected)
-        named = name_discs(seen, layout, expected) if len(seen.points_px) >= MIN_DISCS else None
-        if naming is None or (named is not None and len(named.discs) > len(naming.discs)):
-            blobs, naming = seen, named
-        if naming is not None and len(naming.discs) == len(layout.radii_mm):
+        named = identify_discs(seen, layout, expected) if len(seen.points_px) >= MIN_DISCS else None
+        if assignment is None or (named is not None and len(named.discs) > len(assignment.discs)):
+            blobs, assignment = seen, named
+        if assignment is not None and len(assignment.discs) == len(layout.radii_mm):
             break
-    return blobs, naming
+    return blobs, assignment
 
 
 def _stages(image: GreyImage, layout: Layout, expected: Expectation) -> list[tuple[int, int]]:

@@ -35,7 +35,7 @@ class DiscFits:
     noise_dn: FloatArray
     contrast_dn: FloatArray
     blur_px: FloatArray
-    clean: FloatArray
+    explained_fraction: FloatArray
     """(n,) share of the outline's pixels that the model explains."""
 
 

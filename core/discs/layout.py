@@ -76,7 +76,7 @@ class Expectation:
 
 
 @dataclass(frozen=True, slots=True)
-class Naming:
+class DiscAssignment:
     """Which spot is which disc."""
 
     discs: IntArray
@@ -87,19 +87,19 @@ class Naming:
     """(3, 3) homography from the plate, mm, y down, to px."""
     cost: float
     roll_deg: float
-    certain: bool = True
+    unambiguous: bool = True
     """False if another naming explains the image as well, so that this one is a guess."""
 
 
-def name_discs(blobs: Blobs, layout: Layout, expected: Expectation) -> Naming | None:
+def identify_discs(blobs: Blobs, layout: Layout, expected: Expectation) -> DiscAssignment | None:
     """Give the naming that explains the image best; None if none does."""
-    rivals: list[Naming] = []
+    rivals: list[DiscAssignment] = []
     for spots, slope in _guesses(blobs, layout, expected):
         if rivals and (spots >= 0).sum() < len(rivals[0].discs) - 1:
             break
-        naming = _refine(blobs, layout, spots, slope, expected)
-        if naming is not None:
-            rivals.append(naming)
+        assignment = _refine(blobs, layout, spots, slope, expected)
+        if assignment is not None:
+            rivals.append(assignment)
     return _choose(rivals, layout, expected) if rivals else None
 
 
@@ -185,7 +185,7 @@ def _may_be_neighbours(blobs: Blobs, layout: Layout) -> BoolArray:
 
 def _refine(
     blobs: Blobs, layout: Layout, spots: IntArray, slope: FloatArray, expected: Expectation
-) -> Naming | None:
+) -> DiscAssignment | None:
     """Fit a homography to a guess, look again for all discs, and judge the outcome."""
     for _ in range(2):
         discs = np.flatnonzero(spots >= 0)
@@ -210,7 +210,7 @@ def _refine(
     roll = np.arctan2(at_middle[1, 0] - at_middle[0, 1], at_middle[0, 0] + at_middle[1, 1])
     if abs(np.degrees(roll)) > expected.max_roll_deg:
         return None
-    return Naming(discs, chosen, H, cost, float(np.degrees(roll)))
+    return DiscAssignment(discs, chosen, H, cost, float(np.degrees(roll)))
 
 
 def _place_sigma_px(layout: Layout, slope: FloatArray) -> float:
@@ -239,28 +239,30 @@ def _look_again(blobs: Blobs, layout: Layout, H: FloatArray) -> tuple[IntArray, 
     return np.where(costs < _WORST, spots, -1), costs
 
 
-def _choose(rivals: list[Naming], layout: Layout, expected: Expectation) -> Naming:
+def _choose(rivals: list[DiscAssignment], layout: Layout, expected: Expectation) -> DiscAssignment:
     """The cheapest; where others are as good, by what is expected; else it is a guess."""
-    best = min(rivals, key=lambda naming: naming.cost)
+    best = min(rivals, key=lambda assignment: assignment.cost)
     alike = [best]
-    for naming in sorted(rivals, key=lambda naming: naming.cost):
-        if naming.cost < best.cost + _ALIKE and all(_contradict(naming, one) for one in alike):
-            alike.append(naming)
+    for assignment in sorted(rivals, key=lambda assignment: assignment.cost):
+        if assignment.cost < best.cost + _ALIKE and all(
+            _contradict(assignment, one) for one in alike
+        ):
+            alike.append(assignment)
     if len(alike) == 1:
         return best
     if expected.near_px is not None:
-        away = [_distance(naming, layout, expected.near_px) for naming in alike]
+        away = [_distance(assignment, layout, expected.near_px) for assignment in alike]
         order = np.argsort(away)
         chosen, next_away = alike[order[0]], away[order[1]]
-        return _with_certainty(chosen, certain=away[order[0]] < 0.6 * next_away)
-    alike.sort(key=lambda naming: abs(naming.roll_deg))
+        return _with_certainty(chosen, unambiguous=away[order[0]] < 0.6 * next_away)
+    alike.sort(key=lambda assignment: abs(assignment.roll_deg))
     first, second = abs(alike[0].roll_deg), abs(alike[1].roll_deg)
     upright = first <= expected.upright_deg < second and second - first > _TURN_MARGIN_DEG
     turned = all(_looks_the_same(alike[0], other, layout) for other in alike[1:])
-    return _with_certainty(alike[0], certain=upright and turned)
+    return _with_certainty(alike[0], unambiguous=upright and turned)
 
 
-def _looks_the_same(one: Naming, other: Naming, layout: Layout) -> bool:
+def _looks_the_same(one: DiscAssignment, other: DiscAssignment, layout: Layout) -> bool:
     """Whether the whole layout, named the one way and the other, is at the same places."""
     moved = project(np.linalg.inv(other.H) @ one.H, layout.places_mm)
     away = np.hypot(*np.moveaxis(moved[:, None] - layout.places_mm[None], -1, 0))
@@ -269,11 +271,18 @@ def _looks_the_same(one: Naming, other: Naming, layout: Layout) -> bool:
     return bool(same.all() and (np.abs(np.log(radii)) < _OUTLINE_SIGMA).all())
 
 
-def _with_certainty(naming: Naming, *, certain: bool) -> Naming:
-    return Naming(naming.discs, naming.spots, naming.H, naming.cost, naming.roll_deg, certain)
+def _with_certainty(assignment: DiscAssignment, *, unambiguous: bool) -> DiscAssignment:
+    return DiscAssignment(
+        assignment.discs,
+        assignment.spots,
+        assignment.H,
+        assignment.cost,
+        assignment.roll_deg,
+        unambiguous,
+    )
 
 
-def _contradict(one: Naming, other: Naming) -> bool:
+def _contradict(one: DiscAssignment, other: DiscAssignment) -> bool:
     """Whether a spot has different names, or none is shared."""
     names = dict(zip(one.spots.tolist(), one.discs.tolist(), strict=True))
     shared = [
@@ -284,7 +293,7 @@ def _contradict(one: Naming, other: Naming) -> bool:
     return not shared or any(a != b for a, b in shared)
 
 
-def _distance(naming: Naming, layout: Layout, near_px: FloatArray) -> float:
+def _distance(assignment: DiscAssignment, layout: Layout, near_px: FloatArray) -> float:
     """How far, px, the discs are on average from where they were expected."""
-    away = np.hypot(*(project(naming.H, layout.places_mm) - near_px).T)
+    away = np.hypot(*(project(assignment.H, layout.places_mm) - near_px).T)
     return float(np.nanmean(away))

@@ -11,7 +11,7 @@ from core.arrays import BoolArray, FloatArray, IntArray
 from core.discs.blobs import MANY_LEVELS, Blobs, find_blobs
 from core.discs.disc_finder import clear_fits
 from core.discs.disc_fit import DiscFits, locate_discs
-from core.discs.layout import MIN_DISCS, Expectation, Layout, Naming, name_discs
+from core.discs.layout import MIN_DISCS, DiscAssignment, Expectation, Layout, identify_discs
 from core.errors import ImageError, TargetNotFoundError
 from core.geometry.homography import circle_outlines, outline_offset, refine_on_circles
 from core.images import GreyImage, PixelArray
@@ -36,7 +36,7 @@ class FoundTarget:
     """(n, 2) images of the discs' centres, NaN where not found."""
     covariance_px2: FloatArray
     """(n, 2, 2) from the image's noise, NaN where not found."""
-    clean: FloatArray
+    explained_fraction: FloatArray
     """(n,) share of each outline's pixels that look like a disc's; 0 where not found."""
     H: FloatArray
     """(3, 3) homography: `[u v 1]' ~ H [x y 1]'`, x and y as the centres, mm."""
@@ -78,12 +78,12 @@ def find_target(
     known = scale_px_per_mm is not None or near is not None
     least = MIN_DISCS if known else min(len(layout.radii_mm), MIN_DISCS + 1)
     expected = Expectation(scale_px_per_mm, near, max_roll_deg=max_roll_deg, min_discs=least)
-    blobs, naming = _search(grey, layout, expected)
-    fits, which, H = _locate(grey, layout, blobs, naming)
+    blobs, assignment = _search(grey, layout, expected)
+    fits, which, H = _locate(grey, layout, blobs, assignment)
     if len(which) < least:
         msg = f"main target: only {len(which)} of {len(layout.radii_mm)} discs are clear enough"
         raise TargetNotFoundError(msg)
-    return _as_found(fits, which, H, layout, naming)
+    return _as_found(fits, which, H, layout, assignment)
 
 
 def _as_grey(image: GreyImage | PixelArray) -> GreyImage:
@@ -113,18 +113,20 @@ def _as_layout(centres_mm: FloatArray, diameter_mm: float | FloatArray) -> Layou
     return layout
 
 
-def _search(grey: GreyImage, layout: Layout, expected: Expectation) -> tuple[Blobs, Naming]:
+def _search(grey: GreyImage, layout: Layout, expected: Expectation) -> tuple[Blobs, DiscAssignment]:
     """Look ever more thoroughly until all discs are named for certain."""
-    best: tuple[Blobs, Naming] | None = None
+    best: tuple[Blobs, DiscAssignment] | None = None
     spots = 0
     for blobs in _looks(grey):
         spots = max(spots, len(blobs.points_px))
-        naming = name_discs(blobs, layout, expected) if len(blobs.points_px) >= MIN_DISCS else None
-        if naming is None:
+        assignment = (
+            identify_discs(blobs, layout, expected) if len(blobs.points_px) >= MIN_DISCS else None
+        )
+        if assignment is None:
             continue
-        if best is None or naming.cost < best[1].cost:
-            best = blobs, naming
-        if len(naming.discs) == len(layout.radii_mm) and naming.certain:
+        if best is None or assignment.cost < best[1].cost:
+            best = blobs, assignment
+        if len(assignment.discs) == len(layout.radii_mm) and assignment.unambiguous:
             break
     if best is None:
         msg = (
@@ -132,7 +134,7 @@ def _search(grey: GreyImage, layout: Layout, expected: Expectation) -> tuple[Blo
             f"are laid out ({spots} round bright spots in the image)"
         )
         raise TargetNotFoundError(msg)
-    if not best[1].certain:
+    if not best[1].unambiguous:
         msg = (
             "main target: its discs can be named in more than one way; "
             "say where they are about (near)"
@@ -170,13 +172,13 @@ def _fitted(grey: GreyImage, blobs: Blobs) -> Blobs:
 
 
 def _locate(
-    grey: GreyImage, layout: Layout, blobs: Blobs, naming: Naming
+    grey: GreyImage, layout: Layout, blobs: Blobs, assignment: DiscAssignment
 ) -> tuple[DiscFits, IntArray, FloatArray]:
     """Fit all discs, where they were seen or should be; keep those that are where they should."""
-    H = naming.H
+    H = assignment.H
     points, outline = circle_outlines(H, layout.places_mm, layout.radii_mm)
-    points[naming.discs] = blobs.points_px[naming.spots]
-    outline[naming.discs] = blobs.outline_px[naming.spots]
+    points[assignment.discs] = blobs.points_px[assignment.spots]
+    outline[assignment.discs] = blobs.outline_px[assignment.spots]
     fits = locate_discs(grey.pixels, grey.saturation_dn, points, outline)
     good = clear_fits(fits)
     radii = _radii_seen(H, layout, fits, good)
@@ -224,7 +226,7 @@ def _as_wide(outline: FloatArray, fits: DiscFits) -> BoolArray:
 
 
 def _as_found(
-    fits: DiscFits, which: IntArray, H: FloatArray, layout: Layout, naming: Naming
+    fits: DiscFits, which: IntArray, H: FloatArray, layout: Layout, assignment: DiscAssignment
 ) -> FoundTarget:
     n = len(layout.radii_mm)
     found = np.zeros(n, dtype=bool)
@@ -234,9 +236,9 @@ def _as_found(
         found,
         np.where(found[:, None], fits.points_px - offset, np.nan),
         np.where(found[:, None, None], fits.covariance_px2, np.nan),
-        np.where(found, fits.clean, 0.0),
+        np.where(found, fits.explained_fraction, 0.0),
         H @ np.diag([1.0, -1.0, 1.0]),
-        naming.roll_deg,
+        assignment.roll_deg,
         float(np.median(fits.contrast_dn[which])),
         float(np.median(fits.blur_px[which])),
     )

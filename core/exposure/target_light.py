@@ -15,7 +15,7 @@ from core.checkerboard.board import Board
 from core.geometry.pose import Pose
 from core.images import GreyImage
 from core.results import Displacement, RigMotion
-from core.rig.calibrated_site import Setup
+from core.rig.calibrated_site import CalibratedSite
 from core.site import CirclesTarget
 
 _WHITE_PERCENTILE, _BLACK_PERCENTILE = 75.0, 50.0
@@ -78,22 +78,22 @@ def area_light(image: GreyImage, box: Box) -> TargetLight:
 
 
 def discs_in_image(
-    setup: Setup, target: CirclesTarget, raw: Displacement
+    calibrated: CalibratedSite, target: CirclesTarget, raw: Displacement
 ) -> tuple[FloatArray, FloatArray]:
     """Where a raw displacement says that the discs are: (n, 2) and radii (n,), px."""
-    seen = np.isfinite(setup.reference_discs_px).all(axis=1)
-    points = setup.reference_discs_px[seen] + setup.B @ raw.mm
-    scale = float(np.sqrt(abs(np.linalg.det(setup.B))))
+    seen = np.isfinite(calibrated.reference_discs_px).all(axis=1)
+    points = calibrated.reference_discs_px[seen] + calibrated.B @ raw.mm
+    scale = float(np.sqrt(abs(np.linalg.det(calibrated.B))))
     return points, scale * target.diameters_mm[seen] / 2.0
 
 
-def corners_in_image(setup: Setup, motion: RigMotion) -> tuple[IntArray, FloatArray]:
+def corners_in_image(calibrated: CalibratedSite, motion: RigMotion) -> tuple[IntArray, FloatArray]:
     """Where a rig motion says that the board's corners are: (n,) and (n, 2), px."""
     moved = Pose.from_vectors(motion.rotation_rad, motion.translation_mm)
-    pose = moved.compose(setup.reference_pose)
-    in_camera = pose.apply(setup.corners_mm)
-    index = np.nonzero(setup.lens.sees(in_camera))[0]
-    return index, setup.lens.project(in_camera[index])
+    pose = moved.compose(calibrated.reference_pose)
+    in_camera = pose.apply(calibrated.corners_mm)
+    index = np.nonzero(calibrated.lens.sees(in_camera))[0]
+    return index, calibrated.lens.project(in_camera[index])
 
 
 def box_about(image: GreyImage, points_px: FloatArray, margin_px: float) -> Box:

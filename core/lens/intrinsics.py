@@ -65,7 +65,7 @@ def calibrate_lens(
 ) -> LensCalibration:
     """Calibrate a lens from images of a board, the board's own shape estimated with it.
 
-    Nothing need be known of the lens; it may be a fisheye. Without a model the one that foretells
+    Nothing need be known of the lens; it may be a fisheye. Without a model the one that predicts
     held-out views best is taken (core.lens.lens_choice). Views without the board, or that do not
     fit the others, are rejected with their reason. Raises CalibrationError.
     """
@@ -82,15 +82,15 @@ def calibrate_lens(
     height, width = images[found[0][0]].pixels.shape
     focal_px = None if camera is None else camera.focal_px
     start = start_lens([view for _, view in found], board, (width, height), focal_px, model)
-    misfits = dict(start.rejected)
+    residual_ratios = dict(start.rejected)
     used, views = [], []
     for v, (k, view) in enumerate(found):
         try:
             located = _located_again(images[k], start.lens, board, view)
-            if v in misfits:
+            if v in residual_ratios:
                 _require_fit(located, start.lens, board)
         except TargetNotFoundError as error:
-            rejected.append((k, misfits.get(v, str(error))))
+            rejected.append((k, residual_ratios.get(v, str(error))))
             continue
         used.append(k)
         views.append(located.view)
@@ -133,8 +133,8 @@ def calibrate_lens_from_corners(
     """
     views = [_given(corners, k, board, sigma_px) for k, corners in enumerate(corners_px)]
     start = start_lens(views, board, size, model=model)
-    misfits = dict(start.rejected)
-    used = tuple(k for k in range(len(views)) if k not in misfits)
+    residual_ratios = dict(start.rejected)
+    used = tuple(k for k in range(len(views)) if k not in residual_ratios)
     adjusted, choice = _adjusted([views[k] for k in used], board, start.lens, model, skew=skew)
     return LensCalibration(adjusted.lens, adjusted, used, start.rejected, choice)
 

@@ -1,4 +1,4 @@
-"""Which distortion model a lens is given: the simplest of those that foretell unseen views best.
+"""Which distortion model a lens is given: the simplest of those that predict unseen views best.
 
 A model with more coefficients always fits the views better that it is fitted to. So each model is
 fitted to four fifths of the views and judged on the others (cross-validation; Stone 1974): the

@@ -1,7 +1,7 @@
 """A lens to start from, when nothing is known of it and some of the views may be wrong.
 
 Pinhole and fisheye lenses of many focal lengths are tried on each view; the one with the least
-median misfit over the views is taken (least median of squares, Rousseeuw 1984), fitted to the
+median residual over the views is taken (least median of squares, Rousseeuw 1984), fitted to the
 views that agree best, and the others are let in as far as they fit.
 """
 
@@ -122,7 +122,7 @@ class _Seen:
 
 
 def _tried(lens: Lens, board: Board, views: Sequence[BoardView]) -> _Seen:
-    """Each view's median misfit under a lens without distortion, by a pose without refinement."""
+    """Each view's median residual under a lens without distortion, by a pose without refinement."""
     rays = lens.rays(np.concatenate([view.points_px for view in views]))
     ends = np.cumsum([len(view.index) for view in views])[:-1]
     poses: list[Pose | None] = []
@@ -159,7 +159,7 @@ def _pose(
 
 
 def _seen(lens: Lens, board: Board, views: Sequence[BoardView], before: _Seen) -> _Seen:
-    """Each view's misfit, its pose fitted."""
+    """Each view's residual, its pose fitted."""
     fits = [_pose(lens, board, v, pose) for v, pose in zip(views, before.poses, strict=True)]
     rms = np.array([float(np.sqrt((off**2).mean())) for _, off in fits])
     half = np.array([float(np.median(off)) for _, off in fits])
@@ -241,7 +241,7 @@ def _reasons(
         for view, pose in zip(views, agreed.seen.poses, strict=True)
     ]
     rejected = {
-        v: _misfit_words(view, off, pose, agreed.typical_px)
+        v: _residual_words(view, off, pose, agreed.typical_px)
         for v, (view, (pose, off)) in enumerate(zip(views, found, strict=True))
         if v not in agreed.kept
     }
@@ -260,7 +260,7 @@ def _from_the_front(pose: Pose) -> bool:
     return float(pose.R[:, 2] @ pose.t_mm) > 0.0
 
 
-def _misfit_words(view: BoardView, off: FloatArray, pose: Pose | None, typical_px: float) -> str:
+def _residual_words(view: BoardView, off: FloatArray, pose: Pose | None, typical_px: float) -> str:
     if len(view.index) < MIN_CORNERS:
         return f"{len(view.index)} corners of the board, {MIN_CORNERS} are needed"
     if pose is None:

@@ -161,7 +161,7 @@ class Drawing:
         q = self.quality
         return LocatedBoard(
             view,
-            certain=True,
+            unambiguous=True,
             white_dn=np.full(len(index), q.contrast_dn),
             black_dn=np.zeros(len(index)),
             missing_px=np.zeros((0, 2)),

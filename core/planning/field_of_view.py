@@ -20,7 +20,7 @@ _HALF = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Room:
+class FieldOfView:
     """Scales, fields of view and travel."""
 
     main_px_per_mm: float
@@ -46,7 +46,7 @@ class Room:
     """Eq. 5 for the expected drift; below 1 px for the paper's method."""
 
 
-def room_of(drawing: Drawing) -> Room:
+def field_of_view(drawing: Drawing) -> FieldOfView:
     """Work out what is seen and how far things may move."""
     site, limits = drawing.site, drawing.site.quality
     scale, target = site.nominal_px_per_mm, site.main_target
@@ -56,7 +56,7 @@ def room_of(drawing: Drawing) -> Room:
     reach_mm = np.abs(target.centres_mm).max(axis=0) + radius_mm
     travel = np.maximum(_HALF * size / scale - reach_mm, 0.0)
     off_axis = float(np.abs(target.centres_mm).max()) * scale
-    return Room(
+    return FieldOfView(
         scale,
         sub_scale,
         size / scale,
@@ -88,7 +88,7 @@ def _shift_to_half(drawing: Drawing, axis: int) -> float:
     return near
 
 
-def warnings_of(drawing: Drawing, campaign: Campaign, room: Room) -> Iterator[str]:
+def warnings_of(drawing: Drawing, campaign: Campaign, room: FieldOfView) -> Iterator[str]:
     """Say what will not work as drawn, with what to do."""
     limits = drawing.site.quality
     spare_mm = room.target_travel_mm - room.drift_mm

@@ -16,13 +16,13 @@ import numpy as np
 
 from core.adjustment.bundle_adjustment import Spreads
 from core.arrays import FloatArray
-from core.calibration.joint_fit import Method, Recipe, foresee_fit, whole_setup
+from core.calibration.joint_fit import FitOptions, Method, predict_fit, whole_calibrated_site
 from core.calibration.observability import AXES, drift_motions
 from core.checkerboard.resection import MIN_CORNERS, pose_jacobian
 from core.errors import TargetNotFoundError
 from core.geometry.pose import Pose
 from core.planning.drawing import Campaign, Drawing
-from core.rig.calibrated_site import Setup
+from core.rig.calibrated_site import CalibratedSite
 from core.rig.posterior import Effects, Posterior
 from core.rig.propagation import DISC_FLOOR_PX, predict_shift, reference_noise, shift_effects
 from core.site import Site
@@ -33,7 +33,7 @@ FAIR_PRINT = Spreads(column_mm=0.005, row_mm=0.005, corner_mm=0.001)
 
 @dataclass(frozen=True, slots=True)
 class MotionSigma:
-    """What is foreseen for one motion of the rig."""
+    """What is predicted for one motion of the rig."""
 
     motion: str
     calibration_mm: float
@@ -43,7 +43,7 @@ class MotionSigma:
 
 
 @dataclass(frozen=True, slots=True)
-class Foreseen:
+class PredictedAccuracy:
     """1-sigma errors, mm at the main target."""
 
     still_mm: FloatArray
@@ -55,7 +55,7 @@ class Foreseen:
 
     @property
     def worst_mm(self) -> float:
-        """Of the rows foreseen."""
+        """Of the rows predicted."""
         return max(m.row_mm for m in self.motions)
 
     @property
@@ -64,17 +64,17 @@ class Foreseen:
         return float(self.drifted_mm.max())
 
 
-def calibrate_drawing(drawing: Drawing, campaign: Campaign) -> Setup:
+def calibrate_drawing(drawing: Drawing, campaign: Campaign) -> CalibratedSite:
     """Say what a calibration by these views will know; its posterior is whole.
 
     Raises NotObservableError if the positions do not determine it, TargetNotFoundError if a
     target is out of view.
     """
     require_in_view(drawing)
-    recipe = Recipe(drawing.site, drawing.board, Method.RIGID, skew=False)
+    options = FitOptions(drawing.site, drawing.board, Method.RIGID, skew=False)
     views = drawing.views(campaign)
-    fit = foresee_fit(views, drawing.lens, drawing.poses(campaign), recipe, FAIR_PRINT)
-    return whole_setup(fit, recipe)
+    fit = predict_fit(views, drawing.lens, drawing.poses(campaign), options, FAIR_PRINT)
+    return whole_calibrated_site(fit, options)
 
 
 def require_in_view(drawing: Drawing) -> None:
@@ -126,44 +126,46 @@ class Row:
         return self.calibration_mm2(posterior) + self.to_mm @ frame_px2 @ self.to_mm.T
 
 
-def row_at(drawing: Drawing, setup: Setup, motion: Pose) -> Row:
+def row_at(drawing: Drawing, calibrated: CalibratedSite, motion: Pose) -> Row:
     """A row with the rig moved by `T_CSj_CS1`, the main target at rest.
 
     Raises TargetNotFoundError if the targets are out of view then.
     """
-    pair, pose = drawing.see_pair("row", motion), motion.compose(setup.reference_pose)
+    pair, pose = drawing.see_pair("row", motion), motion.compose(calibrated.reference_pose)
     view, which = pair.board.view, np.nonzero(pair.discs.found)[0]
     if len(view.index) < MIN_CORNERS or len(which) == 0:
         msg = "the expected drift takes a target out of its image: see [quality] expected_drift_*"
         raise TargetNotFoundError(msg)
     weights, root = np.full(len(which), 1.0 / len(which)), view.whitening()
-    prediction = predict_shift(setup.model, setup.reference_discs_px[which], motion)
-    effects, by_pose = shift_effects(setup, prediction, which, weights, pose, view, root)
-    jacobian = root @ pose_jacobian(setup.lens, pose, setup.corners_mm[view.index])[1]
+    prediction = predict_shift(calibrated.model, calibrated.reference_discs_px[which], motion)
+    effects, by_pose = shift_effects(calibrated, prediction, which, weights, pose, view, root)
+    jacobian = root @ pose_jacobian(calibrated.lens, pose, calibrated.corners_mm[view.index])[1]
     flat = jacobian.reshape(-1, 6)
     each_px2 = pair.discs.covariance_px2[which] + DISC_FLOOR_PX**2 * np.eye(2)
     return Row(
         effects,
         by_pose @ np.linalg.solve(flat.T @ flat, by_pose.T),
         each_px2.mean(axis=0) / len(which),
-        np.linalg.inv(setup.B),
+        np.linalg.inv(calibrated.B),
     )
 
 
-def drift_rows(drawing: Drawing, setup: Setup) -> tuple[Row, ...]:
+def drift_rows(drawing: Drawing, calibrated: CalibratedSite) -> tuple[Row, ...]:
     """Rows with the rig at rest, then with the largest expected drift about and along each axis."""
     motions = (Pose.identity(), *drift_motions(drawing.site.quality))
-    return tuple(row_at(drawing, setup, motion) for motion in motions)
+    return tuple(row_at(drawing, calibrated, motion) for motion in motions)
 
 
-def foresee(rows: Sequence[Row], posterior: Posterior, noise: FrameNoise | None = None) -> Foreseen:
+def predict(
+    rows: Sequence[Row], posterior: Posterior, noise: FrameNoise | None = None
+) -> PredictedAccuracy:
     """Foresee the sigma of corrected displacements at rest and within the drift (`drift_rows`)."""
     noise = noise or FrameNoise()
     still, *drifts = (row.covariance_mm2(posterior, noise) for row in rows)
     # The error of a small motion's correction is linear in the motion; evenly spread within
     # its limits a motion has a third of the variance that its limit has.
     drifted = still + sum((drift - still for drift in drifts), np.zeros((2, 2))) / 3.0
-    return Foreseen(
+    return PredictedAccuracy(
         np.sqrt(np.diag(still)),
         np.sqrt(np.diag(drifted)),
         tuple(
@@ -186,27 +188,31 @@ class Limit:
     """`typical_mm` if this were perfect."""
 
 
-def limits_of(drawing: Drawing, setup: Setup, rows: Sequence[Row]) -> tuple[Limit, ...]:
+def limits_of(
+    drawing: Drawing, calibrated: CalibratedSite, rows: Sequence[Row]
+) -> tuple[Limit, ...]:
     """What limits the accuracy: the sigma within the drift if one thing after another were perfect.
 
     The most costly first. What a part known perfectly leaves is the conditional covariance.
     """
-    whole = setup.posterior
+    whole = calibrated.posterior
     parts = {
-        "lens of the sub-camera": whole.knowing(whole.lens),
-        "print and flatness of the board": whole.knowing_board(),
-        "rotation between the cameras": whole.knowing(whole.model[:3]),
-        "offset between the cameras": whole.knowing(whole.model[3:6]),
-        "distance and scale of the main target": whole.knowing(whole.model[6:8]),
-        "noise of the reference's pose": whole.knowing(reference_noise(setup, drawing.site.sub)),
+        "lens of the sub-camera": whole.conditioned_on(whole.lens),
+        "print and flatness of the board": whole.conditioned_on_board(),
+        "rotation between the cameras": whole.conditioned_on(whole.model[:3]),
+        "offset between the cameras": whole.conditioned_on(whole.model[3:6]),
+        "distance and scale of the main target": whole.conditioned_on(whole.model[6:8]),
+        "noise of the reference's pose": whole.conditioned_on(
+            reference_noise(calibrated, drawing.site.sub)
+        ),
     }
-    limits = [Limit(cause, foresee(rows, left).typical_mm) for cause, left in parts.items()]
+    limits = [Limit(cause, predict(rows, left).typical_mm) for cause, left in parts.items()]
     quiet = {
         "noise of a frame's pose (sub-camera)": FrameNoise(corners=0.0),
         "noise of the discs (main camera)": FrameNoise(discs=0.0),
     }
     limits += [
-        Limit(cause, foresee(rows, whole, noise).typical_mm) for cause, noise in quiet.items()
+        Limit(cause, predict(rows, whole, noise).typical_mm) for cause, noise in quiet.items()
     ]
     return tuple(sorted(limits, key=lambda limit: limit.without_mm))
 
@@ -284,13 +290,13 @@ def possible_changes(drawing: Drawing, campaign: Campaign) -> tuple[Change, ...]
     )
 
 
-def improvements(now: Foreseen, changes: Sequence[Change]) -> tuple[Improvement, ...]:
+def improvements(now: PredictedAccuracy, changes: Sequence[Change]) -> tuple[Improvement, ...]:
     """Plan again with each change; those worth it, the best first."""
     found = []
     for change in changes:
         again = calibrate_drawing(change.drawing, change.campaign)
         rows = drift_rows(change.drawing, again)
-        typical_mm = foresee(rows, again.posterior, change.noise).typical_mm
+        typical_mm = predict(rows, again.posterior, change.noise).typical_mm
         if typical_mm < WORTHWHILE * now.typical_mm:
             found.append(Improvement(change.what, typical_mm))
     return tuple(sorted(found, key=lambda improvement: improvement.typical_mm))

@@ -18,7 +18,7 @@ def noisier(calibrated_contrast_dn: float, contrast_dn: float) -> float:
     return max(1.0, calibrated_contrast_dn / max(contrast_dn, 1.0))
 
 
-def misfit(
+def residual_ratio(
     calibrated_px: float, calibrated_contrast_dn: float, seen_px: float, contrast_dn: float
 ) -> float:
     """Rms of a row's corners (px) over what it would be if nothing had changed."""
@@ -26,6 +26,6 @@ def misfit(
     return seen_px / level_px
 
 
-def lasting_misfit(misfits: Sequence[float]) -> float | None:
+def lasting_residual_ratio(residual_ratios: Sequence[float]) -> float | None:
     """The median over many rows; None of too few to tell."""
-    return float(np.median(misfits)) if len(misfits) >= _FEW else None
+    return float(np.median(residual_ratios)) if len(residual_ratios) >= _FEW else None

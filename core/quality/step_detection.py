@@ -18,10 +18,10 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.geometry.pose import Pose
-from core.quality.residual_ratio import WINDOW, lasting_misfit, misfit
+from core.quality.residual_ratio import WINDOW, lasting_residual_ratio, residual_ratio
 from core.quality.verdicts import flag_of
 from core.results import Measurement, Reason
-from core.rig.calibrated_site import Setup
+from core.rig.calibrated_site import CalibratedSite
 from core.rig.propagation import predict_shift
 from core.site import QualityLimits
 
@@ -59,7 +59,7 @@ class Sample:
     """(2,) the part of it that comes from the rig's translation: that of a board that slides."""
     sigma_mm: FloatArray
     """(3,) 1 sigma of the largest axis of the three."""
-    misfit: float
+    residual_ratio: float
     """rms of the corners over what it was at calibration."""
     trusted: bool
     """Good in itself."""
@@ -76,29 +76,31 @@ class Slip:
     """The last row with the slip."""
 
 
-def sample_of(setup: Setup, measurement: Measurement, time_s: float) -> Sample | None:
+def sample_of(calibrated: CalibratedSite, measurement: Measurement, time_s: float) -> Sample | None:
     """Give what later rows need of a row, None of one without a value."""
     corrected, raw, motion = measurement.corrected, measurement.raw, measurement.motion
     if corrected is None or raw is None or motion is None:
         return None
-    seen = setup.reference_discs_px[np.isfinite(setup.reference_discs_px).all(axis=1)]
+    seen = calibrated.reference_discs_px[np.isfinite(calibrated.reference_discs_px).all(axis=1)]
     pose = Pose.from_vectors(motion.rotation_rad, motion.translation_mm)
-    by_motion = predict_shift(setup.model, seen, pose).by_motion.mean(axis=0)
-    by_translation = np.linalg.solve(setup.B, by_motion[:, 3:])
+    by_motion = predict_shift(calibrated.model, seen, pose).by_motion.mean(axis=0)
+    by_translation = np.linalg.solve(calibrated.B, by_motion[:, 3:])
     slide_mm2 = by_translation @ motion.covariance[3:, 3:] @ by_translation.T
     variances = (corrected.covariance_mm2, corrected.covariance_mm2, slide_mm2)
     seen_px, contrast = (
         measurement.diagnostics.sub_residual_px,
         measurement.diagnostics.sub_contrast_dn,
     )
-    levels = setup.levels
+    baseline = calibrated.baseline
     return Sample(
         time_s,
         corrected.mm,
         raw.mm - corrected.mm,
         by_translation @ motion.translation_mm,
         np.sqrt([float(np.diag(variance).max()) for variance in variances]),
-        misfit(levels.sub_rms_px, levels.sub_contrast_dn, seen_px or 0.0, contrast or 0.0),
+        residual_ratio(
+            baseline.sub_rms_px, baseline.sub_contrast_dn, seen_px or 0.0, contrast or 0.0
+        ),
         _ACROSS_ROWS.issuperset(measurement.reasons),
     )
 
@@ -142,14 +144,14 @@ class Continuity:
         return ((Reason.CALIBRATION_DRIFTING,) if after.is_drifting else ()), after
 
     @property
-    def misfit(self) -> float | None:
-        """The median misfit of the last rows; None of too few rows to tell."""
-        return lasting_misfit([row.misfit for row in self.history])
+    def residual_ratio(self) -> float | None:
+        """The median residual of the last rows; None of too few rows to tell."""
+        return lasting_residual_ratio([row.residual_ratio for row in self.history])
 
     @property
     def is_drifting(self) -> bool:
         """Whether the corners fit so badly for so long that values are doubtful."""
-        return self.misfit is not None and self.misfit > _DRIFT_FACTOR
+        return self.residual_ratio is not None and self.residual_ratio > _DRIFT_FACTOR
 
     def _slipped(self, now: Sample) -> Slip | None:
         rows = len(self.history)
@@ -208,12 +210,12 @@ class Continuity:
 
         A gap that is longer than the rows so far leaves room for as many times that range.
         """
-        levels = np.array([getattr(row, name)[axes] for row in self.history])
-        usual = float(np.linalg.norm(np.diff(levels, axis=0), axis=1).max())
+        baseline = np.array([getattr(row, name)[axes] for row in self.history])
+        usual = float(np.linalg.norm(np.diff(baseline, axis=0), axis=1).max())
         gap_s = now.time_s - self.history[-1].time_s
         if gap_s > _GAP * self._interval_s:
             spans = gap_s / max(self.history[-1].time_s - self.history[0].time_s, 1e-9)
-            usual = max(usual, max(spans, 1.0) * float(np.linalg.norm(np.ptp(levels, axis=0))))
+            usual = max(usual, max(spans, 1.0) * float(np.linalg.norm(np.ptp(baseline, axis=0))))
         return max(usual, float(self.history[-1].sigma_mm.max()))
 
 

@@ -13,7 +13,7 @@ from core.images import GreyImage
 from core.quality.print_fingerprint import missing_print
 from core.quality.residual_ratio import noisier
 from core.results import Displacement, Flag, Reason, RigMotion
-from core.rig.calibrated_site import Setup
+from core.rig.calibrated_site import CalibratedSite
 from core.rig.compensation import Shift, affine_error_px
 from core.rig.paper import PaperModel
 from core.site import Site
@@ -46,36 +46,36 @@ def overexposed(image: GreyImage) -> bool:
     return share > _SATURATED_SHARE
 
 
-def judge_main(setup: Setup, discs: Discs, shift: Shift | None) -> list[Reason]:
+def judge_main(calibrated: CalibratedSite, discs: Discs, shift: Shift | None) -> list[Reason]:
     """What is doubtful about the main target; shift is what is left with the rig's motion off.
 
     None where that is not known: the rig's roll turns the discs about one another, too.
     """
     reasons = []
-    wanted = np.isfinite(setup.reference_discs_px).all(axis=1)
-    if (discs.clean[wanted] < _CLEAN).any() or not discs.found[wanted].all():
+    wanted = np.isfinite(calibrated.reference_discs_px).all(axis=1)
+    if (discs.explained_fraction[wanted] < _CLEAN).any() or not discs.found[wanted].all():
         reasons.append(Reason.MAIN_TARGET_PARTLY_HIDDEN)
     if shift is not None and shift.residual_px > _MAIN_RESIDUAL_PX:
         reasons.append(Reason.MAIN_TARGET_DISTURBED)
-    if discs.blur_px > _BLUR_FACTOR * max(setup.levels.main_blur_px, 1.0):
+    if discs.blur_px > _BLUR_FACTOR * max(calibrated.baseline.main_blur_px, 1.0):
         reasons.append(Reason.BLURRED)
     return reasons
 
 
-def judge_sub(setup: Setup, located: LocatedBoard, board: BoardPose) -> list[Reason]:
+def judge_sub(calibrated: CalibratedSite, located: LocatedBoard, board: BoardPose) -> list[Reason]:
     """What is doubtful about the sub target."""
     reasons = []
-    if not located.certain:
+    if not located.unambiguous:
         reasons.append(Reason.SUB_TARGET_UNCERTAIN)
     if _hidden(located, board) > _HIDDEN_SHARE * located.visible:
         reasons.append(Reason.SUB_TARGET_PARTLY_HIDDEN)
-    if board.rms_px > _RESIDUAL_FACTOR * max(setup.levels.sub_rms_px, 0.002) * noisier(
-        setup.levels.sub_contrast_dn, located.contrast_dn
+    if board.rms_px > _RESIDUAL_FACTOR * max(calibrated.baseline.sub_rms_px, 0.002) * noisier(
+        calibrated.baseline.sub_contrast_dn, located.contrast_dn
     ):
         reasons.append(Reason.SUB_TARGET_DISTURBED)
-    if _is_foreign(setup, located, board):
+    if _is_foreign(calibrated, located, board):
         reasons.append(Reason.SUB_TARGET_CHANGED)
-    if located.blur_px > _BLUR_FACTOR * max(setup.levels.sub_blur_px, 0.8):
+    if located.blur_px > _BLUR_FACTOR * max(calibrated.baseline.sub_blur_px, 0.8):
         reasons.append(Reason.BLURRED)
     return reasons
 
@@ -83,22 +83,22 @@ def judge_sub(setup: Setup, located: LocatedBoard, board: BoardPose) -> list[Rea
 def _hidden(located: LocatedBoard, board: BoardPose) -> int:
     """How many corners something lies on: those lost to a shadow's edge are not among them."""
     off = np.hypot(board.residuals_px[:, 0], board.residuals_px[:, 1])
-    misfit = (board.weights < _MISFIT_WEIGHT) & (off > _MISFIT_PX)
+    residual_ratio = (board.weights < _MISFIT_WEIGHT) & (off > _MISFIT_PX)
     points = located.view.points_px
-    lost = np.concatenate([located.missing_px, points[misfit]])
-    white, black = located.white_dn[~misfit], located.black_dn[~misfit]
-    crossed = crossed_by_shadow(lost, points[~misfit], white, black)
+    lost = np.concatenate([located.missing_px, points[residual_ratio]])
+    white, black = located.white_dn[~residual_ratio], located.black_dn[~residual_ratio]
+    crossed = crossed_by_shadow(lost, points[~residual_ratio], white, black)
     return int((~crossed).sum())
 
 
-def _is_foreign(setup: Setup, located: LocatedBoard, board: BoardPose) -> bool:
+def _is_foreign(calibrated: CalibratedSite, located: LocatedBoard, board: BoardPose) -> bool:
     """Whether the print errors of the calibrated board are missing.
 
     Print errors smaller than the noise of a corner are known too poorly to be missed, and too
     small to spoil a value.
     """
-    share, size_px = missing_print(setup, located.view, board)
-    return share > _FOREIGN_SHARE and size_px > setup.levels.sub_rms_px
+    share, size_px = missing_print(calibrated, located.view, board)
+    return share > _FOREIGN_SHARE and size_px > calibrated.baseline.sub_rms_px
 
 
 def beyond_belief(shift: Shift, board: BoardPose | None) -> bool:
@@ -108,15 +108,15 @@ def beyond_belief(shift: Shift, board: BoardPose | None) -> bool:
     return board is not None and board.plain_rms_px > _NO_VALUE_PX
 
 
-def judge_motion(setup: Setup, motion: RigMotion, site: Site) -> list[Reason]:
+def judge_motion(calibrated: CalibratedSite, motion: RigMotion, site: Site) -> list[Reason]:
     """Whether the rig moved further than the calibration and the expected drift cover."""
-    turn = max(setup.levels.max_rotation_rad, site.quality.expected_drift_mrad * 1e-3)
-    slide = max(setup.levels.max_translation_mm, site.quality.expected_drift_mm)
+    turn = max(calibrated.baseline.max_rotation_rad, site.quality.expected_drift_mrad * 1e-3)
+    slide = max(calibrated.baseline.max_translation_mm, site.quality.expected_drift_mm)
     far = float(np.linalg.norm(motion.rotation_rad)) > _RANGE_FACTOR * turn
     far |= float(np.linalg.norm(motion.translation_mm)) > _RANGE_FACTOR * slide
     reasons = [Reason.MOTION_OUT_OF_RANGE] if far else []
-    if isinstance(setup.model, PaperModel):
-        off_axis = float(np.nanmax(np.abs(setup.reference_discs_px - site.main.centre_px)))
+    if isinstance(calibrated.model, PaperModel):
+        off_axis = float(np.nanmax(np.abs(calibrated.reference_discs_px - site.main.centre_px)))
         distance, axial = site.main_target.distance_mm, float(motion.translation_mm[2])
         if affine_error_px(distance, axial, off_axis) > 1.0:
             reasons.append(Reason.AFFINE_INVALID)

@@ -20,7 +20,7 @@ from core.site import CheckerboardTarget
 
 
 @dataclass(frozen=True, slots=True)
-class Levels:
+class Baseline:
     """How the images looked and fitted at calibration: what later frames are held against."""
 
     sub_rms_px: float
@@ -34,7 +34,7 @@ class Levels:
 
 
 @dataclass(frozen=True, slots=True)
-class Setup:
+class CalibratedSite:
     """Lens, board, reference and rig as calibrated."""
 
     board: Board
@@ -51,7 +51,7 @@ class Setup:
     model: Rig | PaperModel
     posterior: Posterior
     """How far all of this can be trusted."""
-    levels: Levels
+    baseline: Baseline
 
     @property
     def shape_terms(self) -> FloatArray:
@@ -74,11 +74,11 @@ class Setup:
             "B": self.B.tolist(),
             "model": _model_to_dict(self.model),
             "posterior": self.posterior.to_dict(),
-            "levels": {name: getattr(self.levels, name) for name in Levels.__slots__},
+            "levels": {name: getattr(self.baseline, name) for name in Baseline.__slots__},
         }
 
     @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> Setup:
+    def from_dict(cls, data: dict[str, Any]) -> CalibratedSite:
         """Read what `to_dict` gave. Raises KeyError or ValueError on anything else."""
         squares_x, squares_y, square_mm = data["board"]
         discs = [[np.nan, np.nan] if p is None else p for p in data["reference_discs_px"]]
@@ -91,7 +91,7 @@ class Setup:
             np.array(data["B"]),
             _model_from_dict(data["model"]),
             Posterior.from_dict(data["posterior"]),
-            Levels(**data["levels"]),
+            Baseline(**data["levels"]),
         )
 
 

@@ -11,7 +11,7 @@ from core.checkerboard.resection import BoardPose, BoardView, robust_weights
 from core.discs.disc_finder import MIN_DISCS, Discs
 from core.errors import TargetNotFoundError
 from core.results import Displacement, RigMotion
-from core.rig.calibrated_site import Setup
+from core.rig.calibrated_site import CalibratedSite
 from core.rig.propagation import DISC_FLOOR_PX, predict_shift, shift_effects
 from core.rig.rigid import motion_by_pose
 
@@ -30,10 +30,10 @@ def affine_error_px(distance_mm: float, axial_motion_mm: float, off_axis_px: flo
     return abs(axial_motion_mm / distance_mm) * off_axis_px
 
 
-def rig_motion(setup: Setup, board: BoardPose) -> RigMotion:
+def rig_motion(calibrated: CalibratedSite, board: BoardPose) -> RigMotion:
     """`T_CSj_CS1 = T_CSj_WS inv(T_CS1_WS)`, Eq. 12; the covariance is this frame's alone."""
-    motion = board.pose.compose(setup.reference_pose.inverse())
-    by_pose = motion_by_pose(motion, setup.reference_pose)
+    motion = board.pose.compose(calibrated.reference_pose.inverse())
+    by_pose = motion_by_pose(motion, calibrated.reference_pose)
     return RigMotion(motion.rotation_rad, motion.t_mm, by_pose @ board.covariance @ by_pose.T)
 
 
@@ -49,13 +49,13 @@ class Shift:
     """rms of the discs about their common shift."""
 
 
-def choose_discs(setup: Setup, discs: Discs) -> IntArray:
+def choose_discs(calibrated: CalibratedSite, discs: Discs) -> IntArray:
     """Indices of the discs to use: seen in the reference too, the clean ones if three are.
 
     Raises TargetNotFoundError if fewer than three are left.
     """
-    common = discs.found & np.isfinite(setup.reference_discs_px).all(axis=1)
-    clean = common & (discs.clean > discs.clean.max() - _CLEAN_MARGIN)
+    common = discs.found & np.isfinite(calibrated.reference_discs_px).all(axis=1)
+    clean = common & (discs.explained_fraction > discs.explained_fraction.max() - _CLEAN_MARGIN)
     chosen = clean if clean.sum() >= MIN_DISCS else common
     if chosen.sum() < MIN_DISCS:
         msg = f"main target: {int(chosen.sum())} of the reference's discs found, 3 are needed"
@@ -75,14 +75,14 @@ def _common_shift(miss_px: FloatArray, which: IntArray) -> tuple[FloatArray, Shi
     return mean, Shift(which, weights, float(np.sqrt(weights @ squares)))
 
 
-def raw_displacement(setup: Setup, discs: Discs) -> tuple[Displacement, Shift]:
+def raw_displacement(calibrated: CalibratedSite, discs: Discs) -> tuple[Displacement, Shift]:
     """Displacement by the main camera alone: inv(B~) of the discs' common shift."""
-    which = choose_discs(setup, discs)
-    miss = discs.points_px[which] - setup.reference_discs_px[which]
+    which = choose_discs(calibrated, discs)
+    miss = discs.points_px[which] - calibrated.reference_discs_px[which]
     mean, shift = _common_shift(miss, which)
-    reference_px2 = _reference_noise(setup, shift)
+    reference_px2 = _reference_noise(calibrated, shift)
     return _displacement(
-        setup, mean, _disc_noise(discs, shift, reference_px2) + reference_px2, reference_px2
+        calibrated, mean, _disc_noise(discs, shift, reference_px2) + reference_px2, reference_px2
     ), shift
 
 
@@ -98,43 +98,46 @@ def _disc_noise(discs: Discs, shift: Shift, reference_px2: FloatArray) -> FloatA
     return np.asarray(predicted + max(0.0, excess) * np.eye(2))
 
 
-def _reference_noise(setup: Setup, shift: Shift) -> FloatArray:
+def _reference_noise(calibrated: CalibratedSite, shift: Shift) -> FloatArray:
     """Covariance (2, 2) px^2 of the common shift from the discs' places in the reference."""
-    factor = np.einsum("k,kar->ar", shift.weights, setup.posterior.discs[shift.which])
+    factor = np.einsum("k,kar->ar", shift.weights, calibrated.posterior.discs[shift.which])
     return np.asarray(factor @ factor.T)
 
 
 def _displacement(
-    setup: Setup, shift_px: FloatArray, covariance_px2: FloatArray, shared_px2: FloatArray
+    calibrated: CalibratedSite,
+    shift_px: FloatArray,
+    covariance_px2: FloatArray,
+    shared_px2: FloatArray,
 ) -> Displacement:
-    to_mm = np.linalg.inv(setup.B)
+    to_mm = np.linalg.inv(calibrated.B)
     return Displacement(
         to_mm @ shift_px, to_mm @ covariance_px2 @ to_mm.T, to_mm @ shared_px2 @ to_mm.T
     )
 
 
 def corrected_displacement(
-    setup: Setup, discs: Discs, board: BoardPose, view: BoardView
+    calibrated: CalibratedSite, discs: Discs, board: BoardPose, view: BoardView
 ) -> tuple[Displacement, Shift]:
     """Displacement with the false shift removed, Eq. 20: inv(B~) (u_j - u_false_j).
 
     Its covariance comes from the discs, from this frame's pose, and from the calibration, whose
     lens, board and reference have largely the same effect on all frames and so cancel.
     """
-    which = choose_discs(setup, discs)
-    reference_px = setup.reference_discs_px[which]
-    motion = board.pose.compose(setup.reference_pose.inverse())
-    prediction = predict_shift(setup.model, reference_px, motion)
+    which = choose_discs(calibrated, discs)
+    reference_px = calibrated.reference_discs_px[which]
+    motion = board.pose.compose(calibrated.reference_pose.inverse())
+    prediction = predict_shift(calibrated.model, reference_px, motion)
     miss = discs.points_px[which] - reference_px - prediction.shift_px
     mean, shift = _common_shift(miss, which)
     root = view.whitening() * np.sqrt(board.weights)[:, None, None]
     effects, by_pose = shift_effects(
-        setup, prediction, which, shift.weights, board.pose, view, root
+        calibrated, prediction, which, shift.weights, board.pose, view, root
     )
-    calibration_px2 = effects.covariance(setup.posterior)
+    calibration_px2 = effects.covariance(calibrated.posterior)
     covariance_px2 = (
-        _disc_noise(discs, shift, _reference_noise(setup, shift))
+        _disc_noise(discs, shift, _reference_noise(calibrated, shift))
         + by_pose @ board.covariance @ by_pose.T
         + calibration_px2
     )
-    return _displacement(setup, mean, covariance_px2, calibration_px2), shift
+    return _displacement(calibrated, mean, covariance_px2, calibration_px2), shift

@@ -75,7 +75,7 @@ class Posterior:
             self.own_mm2,
         )
 
-    def knowing(self, rows: FloatArray) -> Posterior:
+    def conditioned_on(self, rows: FloatArray) -> Posterior:
         """What would be left to doubt if these rows (k, r) of F were known to be without error.
 
         Only of use on a posterior that was not compressed.
@@ -84,7 +84,7 @@ class Posterior:
         known = np.linalg.pinv(scaled, rcond=1e-9) @ scaled
         return self.times(np.eye(len(known)) - known)
 
-    def knowing_board(self) -> Posterior:
+    def conditioned_on_board(self) -> Posterior:
         """Likewise if every corner's place on the board were known."""
         flat = self.corners[:, :2].reshape(-1, self.lens.shape[1])
         root = np.linalg.inv(np.linalg.cholesky(self.own_mm2 + _KNOWN_MM**2 * np.eye(2)))
@@ -133,7 +133,7 @@ class Effects:
     floor: FloatArray
     """(k, k) covariance of what the model leaves out."""
 
-    def through(self, posterior: Posterior) -> FloatArray:
+    def propagate(self, posterior: Posterior) -> FloatArray:
         """(k, r) the value's factor: its covariance is this by its transpose, and `own`."""
         k = len(self.by_lens)
         everywhere = np.zeros((k, *posterior.corners.shape[:2]))
@@ -148,7 +148,7 @@ class Effects:
 
     def covariance(self, posterior: Posterior) -> FloatArray:
         """(k, k) of the value, from the calibration."""
-        factor = self.through(posterior)
+        factor = self.propagate(posterior)
         return np.asarray(factor @ factor.T + self.own(posterior))
 
     def own(self, posterior: Posterior) -> FloatArray:

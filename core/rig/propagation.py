@@ -10,7 +10,7 @@ from core.arrays import FloatArray, IntArray
 from core.checkerboard.resection import BoardView, pose_jacobian
 from core.geometry.lens import Lens
 from core.geometry.pose import Pose
-from core.rig.calibrated_site import Setup
+from core.rig.calibrated_site import CalibratedSite
 from core.rig.paper import PaperModel
 from core.rig.posterior import Effects
 from core.rig.rigid import Rig, motion_by_pose, motion_by_reference
@@ -75,7 +75,7 @@ def pose_follows(
 
 
 def shift_effects(
-    setup: Setup,
+    calibrated: CalibratedSite,
     prediction: Prediction,
     which: IntArray,
     weights: FloatArray,
@@ -88,13 +88,15 @@ def shift_effects(
     weights (n,) of the discs `which` sum to 1; root (corners seen, 2, 2) is what the pose was
     fitted with.
     """
-    motion = pose.compose(setup.reference_pose.inverse())
+    motion = pose.compose(calibrated.reference_pose.inverse())
     by_motion = np.einsum("k,kab->ab", weights, prediction.by_motion)
     by_model = np.einsum("k,kab->ab", weights, prediction.by_model)
-    by_pose = by_motion @ motion_by_pose(motion, setup.reference_pose)
-    by_reference = by_motion @ motion_by_reference(motion, setup.reference_pose)
-    by_lens, by_corners = pose_follows(setup.lens, pose, setup.corners_mm, view, root, by_pose)
-    by_discs = np.zeros((2, len(setup.reference_discs_px), 2))
+    by_pose = by_motion @ motion_by_pose(motion, calibrated.reference_pose)
+    by_reference = by_motion @ motion_by_reference(motion, calibrated.reference_pose)
+    by_lens, by_corners = pose_follows(
+        calibrated.lens, pose, calibrated.corners_mm, view, root, by_pose
+    )
+    by_discs = np.zeros((2, len(calibrated.reference_discs_px), 2))
     by_discs[:, which] = np.eye(2)[:, None] * weights[:, None]
     floor = np.diag((MAIN_GEOMETRY * (weights @ prediction.shift_px)) ** 2)
     return (
@@ -103,48 +105,53 @@ def shift_effects(
     )
 
 
-def reference_noise(setup: Setup, camera: CameraGeometry) -> FloatArray:
+def reference_noise(calibrated: CalibratedSite, camera: CameraGeometry) -> FloatArray:
     """(6, r) rows of the reference pose's own error, by the posterior's columns.
 
     That is what is left of it once the errors of lens and board have had their effect.
     """
-    view = expected_view(setup, camera, setup.reference_pose)
+    view = expected_view(calibrated, camera, calibrated.reference_pose)
     by_lens, by_corners = pose_follows(
-        setup.lens, setup.reference_pose, setup.corners_mm, view, view.whitening(), np.eye(6)
+        calibrated.lens,
+        calibrated.reference_pose,
+        calibrated.corners_mm,
+        view,
+        view.whitening(),
+        np.eye(6),
     )
-    nothing = np.zeros((6, len(setup.posterior.model)))
-    no_discs = np.zeros((6, len(setup.reference_discs_px), 2))
+    nothing = np.zeros((6, len(calibrated.posterior.model)))
+    no_discs = np.zeros((6, len(calibrated.reference_discs_px), 2))
     effects = Effects(
         by_lens, nothing, np.zeros((6, 6)), no_discs, view.index, by_corners, np.zeros((6, 6))
     )
-    return setup.posterior.reference - effects.through(setup.posterior)
+    return calibrated.posterior.reference - effects.propagate(calibrated.posterior)
 
 
-def expected_view(setup: Setup, camera: CameraGeometry, pose: Pose) -> BoardView:
+def expected_view(calibrated: CalibratedSite, camera: CameraGeometry, pose: Pose) -> BoardView:
     """The corners that a pose `T_CS_WS` puts into the image, as noisy as at calibration."""
-    points = setup.lens.project(pose.apply(setup.corners_mm))
+    points = calibrated.lens.project(pose.apply(calibrated.corners_mm))
     size_px = np.array([camera.width_px, camera.height_px]) - 1.0 - _MARGIN_PX
     inside = ((points > _MARGIN_PX) & (points < size_px)).all(axis=1)
     index = np.nonzero(inside)[0]
-    noise = np.tile(setup.levels.sub_rms_px**2 * np.eye(2), (len(index), 1, 1))
+    noise = np.tile(calibrated.baseline.sub_rms_px**2 * np.eye(2), (len(index), 1, 1))
     return BoardView(index, points[index], noise)
 
 
 def expected_effects(
-    setup: Setup, camera: CameraGeometry, motion: Pose
+    calibrated: CalibratedSite, camera: CameraGeometry, motion: Pose
 ) -> tuple[Effects, FloatArray]:
     """What a row would have after this rig motion: effects, and the image noise (2, 2) px^2.
 
     The discs all count alike.
     """
-    pose = motion.compose(setup.reference_pose)
-    view = expected_view(setup, camera, pose)
-    which = np.nonzero(np.isfinite(setup.reference_discs_px).all(axis=1))[0]
-    prediction = predict_shift(setup.model, setup.reference_discs_px[which], motion)
+    pose = motion.compose(calibrated.reference_pose)
+    view = expected_view(calibrated, camera, pose)
+    which = np.nonzero(np.isfinite(calibrated.reference_discs_px).all(axis=1))[0]
+    prediction = predict_shift(calibrated.model, calibrated.reference_discs_px[which], motion)
     weights = np.full(len(which), 1.0 / len(which))
     root = view.whitening()
-    effects, by_pose = shift_effects(setup, prediction, which, weights, pose, view, root)
-    jacobian = root @ pose_jacobian(setup.lens, pose, setup.corners_mm[view.index])[1]
+    effects, by_pose = shift_effects(calibrated, prediction, which, weights, pose, view, root)
+    jacobian = root @ pose_jacobian(calibrated.lens, pose, calibrated.corners_mm[view.index])[1]
     flat = jacobian.reshape(-1, 6)
     noise = by_pose @ np.linalg.solve(flat.T @ flat, by_pose.T)
     return effects, noise + 2.0 * DISC_FLOOR_PX**2 / len(which) * np.eye(2)

@@ -16,7 +16,7 @@ from core.lens.intrinsics import nominal_lens
 from core.lens.lens_coverage import ENOUGH_VIEWS, LensCoverage, lens_coverage
 from core.site import Site
 from daemon.calibration.session import FOLDER, new_directory, write_frame
-from daemon.calibration.view_check import Sight, common_motion_px, settled_sight
+from daemon.calibration.view_check import ViewCheck, common_motion_px, settled_view_check
 from daemon.errors import HardwareError
 from daemon.slots.exposure import ExposureLoop
 from drivers.frameset import FrameSet, FrameSetRow, read_frame_set, write_table
@@ -88,22 +88,22 @@ def take_lens_views(bench: Bench, state: Path, on_view: OnView) -> Path:
 def _look(bench: Bench, views: LensViews) -> str:
     """Look once; keep the view if it is of use. Says what became of it."""
     try:
-        slot_utc, sight = settled_sight(bench.source, bench.clock, bench.site, board_only=True)
+        slot_utc, check = settled_view_check(bench.source, bench.clock, bench.site, board_only=True)
     except HardwareError:
         return "not kept: the board moves; hold it still"
     if bench.exposure is not None:
-        bench.exposure.follow(bench.source, [sight.pair], roles=["sub"])
-    if sight.problems or sight.board is None:
-        return f"not kept: {'; '.join(sight.problems)}"
-    points = sight.board.view.points_px
+        bench.exposure.follow(bench.source, [check.pair], roles=["sub"])
+    if check.problems or check.board is None:
+        return f"not kept: {'; '.join(check.problems)}"
+    points = check.board.view.points_px
     if views.points_px and _is_the_same(views.points_px[-1], points, bench.site.sub.width_px):
         return "not kept: as the view before; hold the board another way"
-    pose = _rough_pose(bench, sight)
+    pose = _rough_pose(bench, check)
     row = FrameSetRow(
         slot_utc,
         "intrinsics",
         None,
-        write_frame(views.directory, slot_utc, "sub", sight.pair.sub),
+        write_frame(views.directory, slot_utc, "sub", check.pair.sub),
     )
     views.rows.append(row)
     views.points_px.append(points)
@@ -120,11 +120,11 @@ def _is_the_same(before: FloatArray, now: FloatArray, width_px: int) -> bool:
     return len(before) == len(now) and common_motion_px(before, now) < 2.0
 
 
-def _rough_pose(bench: Bench, sight: Sight) -> Pose:
+def _rough_pose(bench: Bench, check: ViewCheck) -> Pose:
     """Where the board is held, by the lens as drawn: right to a degree or two."""
     board = Board.nominal(bench.site.sub_target)
-    assert sight.board is not None  # noqa: S101 - looked at by the caller
-    return resect(nominal_lens(bench.site.sub), board.corners_mm, sight.board.view).pose
+    assert check.board is not None  # noqa: S101 - looked at by the caller
+    return resect(nominal_lens(bench.site.sub), board.corners_mm, check.board.view).pose
 
 
 def latest_lens_views(state: Path) -> FrameSet | None:

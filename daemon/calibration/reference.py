@@ -12,7 +12,13 @@ from core.arrays import FloatArray
 from core.errors import CalibrationError
 from core.images import GreyImage, mean_image
 from core.site import Site
-from daemon.calibration.view_check import STILL_PX, Sight, common_motion_px, see_pair, settled_sight
+from daemon.calibration.view_check import (
+    STILL_PX,
+    ViewCheck,
+    common_motion_px,
+    see_pair,
+    settled_view_check,
+)
 from daemon.slots.exposure import next_second
 from drivers.protocols import CapturedFrame, CapturedPair, Clock, FramePairSource
 
@@ -22,16 +28,16 @@ MAIN_STILL_PX = 0.3
 """How far the main target may be from its middle place: less than the lens blurs it anyway."""
 
 
-def take_zero(
+def take_reference(
     source: FramePairSource, clock: Clock, site: Site, on_trouble: Callable[[str], None]
-) -> tuple[datetime, Sight]:
+) -> tuple[datetime, ViewCheck]:
     """Look several times, a second apart; give the mean as 16-bit images, and its first second.
 
     Looks in which something moved, or was before a target, are left out. Raises CalibrationError
     when not even the first is clear, HardwareError when the rig does not come to rest,
     DeviceError.
     """
-    slot_utc, first = settled_sight(source, clock, site)
+    slot_utc, first = settled_view_check(source, clock, site)
     if first.problems:
         raise CalibrationError("zero: " + "; ".join(first.problems))
     looks = [first]
@@ -46,7 +52,7 @@ def take_zero(
     return slot_utc, see_pair(mean_pair([look.pair for look in used]), site)
 
 
-def looks_alike(looks: Sequence[Sight]) -> list[Sight]:
+def looks_alike(looks: Sequence[ViewCheck]) -> list[ViewCheck]:
     """Give the clear looks in which both targets are where they are in the middle one.
 
     The middle one is that whose main target is nearest to the median of all.
@@ -77,11 +83,11 @@ def _mean_frame(frames: Sequence[CapturedFrame]) -> CapturedFrame:
     return replace(frames[0], pixels=mean.pixels, bits=mean.bits)
 
 
-def _middle_px(look: Sight) -> FloatArray:
+def _middle_px(look: ViewCheck) -> FloatArray:
     assert look.discs is not None  # noqa: S101 - a clear look has found all of them
     return np.asarray(look.discs.points_px.mean(axis=0))
 
 
-def _corners_px(look: Sight) -> FloatArray:
+def _corners_px(look: ViewCheck) -> FloatArray:
     assert look.board is not None  # noqa: S101 - likewise
     return look.board.view.points_px

@@ -19,8 +19,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from core.errors import CalibrationError
 from core.site import Site
 from daemon.calibration.positions import ZERO, Limits, Position, planned_positions
-from daemon.calibration.reference import take_zero
-from daemon.calibration.view_check import Sight, settled_sight
+from daemon.calibration.reference import take_reference
+from daemon.calibration.view_check import ViewCheck, settled_view_check
 from daemon.durable import make_directory_durable, write_durable
 from daemon.slots.exposure import ExposureLoop, settle
 from drivers.errors import DriverError
@@ -51,7 +51,7 @@ OnTrouble = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Rig:
+class CalibrationDevices:
     """What a session works with."""
 
     site: Site
@@ -135,7 +135,7 @@ def _read(directory: Path) -> Session | None:
 
 
 def take_views(
-    rig: Rig,
+    rig: CalibrationDevices,
     state: Path,
     config_hash: str,
     lens_views: FrameSet | None,
@@ -173,7 +173,11 @@ def take_views(
 
 
 def take_again(
-    rig: Rig, session: Session, slots: Sequence[str], on_step: OnStep, on_trouble: OnTrouble
+    rig: CalibrationDevices,
+    session: Session,
+    slots: Sequence[str],
+    on_step: OnStep,
+    on_trouble: OnTrouble,
 ) -> int:
     """Take the positions of rig views that did not fit once more; give how many there were.
 
@@ -197,7 +201,7 @@ def take_again(
 
 
 def _begin(
-    rig: Rig,
+    rig: CalibrationDevices,
     state: Path,
     config_hash: str,
     lens_views: FrameSet | None,
@@ -208,10 +212,10 @@ def _begin(
     if rig.hold_board is not None and lens_views is None:
         rig.hold_board(None)
     exposures = _settled_light(rig)
-    first_utc, sight = settled_sight(rig.source, rig.clock, rig.site)
-    if sight.problems or sight.discs is None:
-        raise CalibrationError("before calibrating: " + "; ".join(sight.problems))
-    positions = tuple(planned_positions(rig.site, sight.discs, rig.limits))
+    first_utc, check = settled_view_check(rig.source, rig.clock, rig.site)
+    if check.problems or check.discs is None:
+        raise CalibrationError("before calibrating: " + "; ".join(check.problems))
+    positions = tuple(planned_positions(rig.site, check.discs, rig.limits))
     directory = new_directory(state / FOLDER / f"{first_utc:%Y%m%dT%H%M%SZ}")
     plan = Plan(config_hash=config_hash, positions=positions, state="taking", exposures=exposures)
     session = Session(directory, plan, [])
@@ -222,18 +226,18 @@ def _begin(
         for number in range(SIMULATED_LENS_VIEWS):
             rig.hold_board(number)
             on_step(f"lens view {number + 1}")
-            slot_utc, seen = settled_sight(rig.source, rig.clock, rig.site, board_only=True)
+            slot_utc, seen = settled_view_check(rig.source, rig.clock, rig.site, board_only=True)
             session.add(_keep(session, slot_utc, "intrinsics", seen, None, None))
             if seen.problems:
                 on_trouble(f"lens view {number + 1}: {'; '.join(seen.problems)}")
         rig.hold_board(None)
     on_step("zero")
-    slot_utc, seen = take_zero(rig.source, rig.clock, rig.site, on_trouble)
+    slot_utc, seen = take_reference(rig.source, rig.clock, rig.site, on_trouble)
     session.add(_keep(session, slot_utc, "reference", seen, rig.head, None))
     return session
 
 
-def _settled_light(rig: Rig) -> dict[Role, tuple[float, float | None]]:
+def _settled_light(rig: CalibrationDevices) -> dict[Role, tuple[float, float | None]]:
     """Let the light be followed before the first view, and give the exposures found."""
     if rig.exposure is None:
         return {}
@@ -242,7 +246,7 @@ def _settled_light(rig: Rig) -> dict[Role, tuple[float, float | None]]:
 
 
 def _take_position(
-    rig: Rig,
+    rig: CalibrationDevices,
     session: Session,
     number: int,
     position: Position,
@@ -253,26 +257,26 @@ def _take_position(
     on_step(f"position {number + 1} of {len(session.plan.positions)}")
     for left in reversed(range(TRIES)):
         rig.head.move_to(*position)
-        slot_utc, sight = settled_sight(rig.source, rig.clock, rig.site)
-        session.add(_keep(session, slot_utc, "rig", sight, rig.head, number, position))
-        if not sight.problems:
+        slot_utc, check = settled_view_check(rig.source, rig.clock, rig.site)
+        session.add(_keep(session, slot_utc, "rig", check, rig.head, number, position))
+        if not check.problems:
             return
         then = "taken again" if left else "kept as it is"
-        on_trouble(f"position {number + 1}: {'; '.join(sight.problems)}: {then}")
+        on_trouble(f"position {number + 1}: {'; '.join(check.problems)}: {then}")
 
 
 def _keep(
     session: Session,
     slot_utc: datetime,
     role: FrameRole,
-    sight: Sight,
+    check: ViewCheck,
     head: PanTiltHead | None,
     step: int | None,
     position: Position = ZERO,
 ) -> FrameSetRow:
     """Put a pair's images on the disk; give their row."""
     reached = (head.position_deg() or position) if head is not None else None
-    directory, pair = session.directory, sight.pair
+    directory, pair = session.directory, check.pair
     return FrameSetRow(
         slot_utc=slot_utc,
         role=role,

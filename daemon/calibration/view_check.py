@@ -33,7 +33,7 @@ _ENOUGH_CORNERS = 0.9
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class ViewCheck:
     """Both targets as one pair shows them; what is not found has its reason in `problems`."""
 
     pair: CapturedPair
@@ -43,7 +43,7 @@ class Sight:
     """What makes the pair useless for a calibration, one line each: what, and what to do."""
 
 
-def see_pair(pair: CapturedPair, site: Site) -> Sight:
+def see_pair(pair: CapturedPair, site: Site) -> ViewCheck:
     """Look at both targets of a pair."""
     main, sub = GreyImage(pair.main.pixels, pair.main.bits), _sub_image(pair)
     problems: list[str] = []
@@ -58,17 +58,17 @@ def see_pair(pair: CapturedPair, site: Site) -> Sight:
         problems += _sub_problems(sub, board)
     except CoreError as error:
         problems.append(f"{error}; aim, focus and light the sub-camera")
-    return Sight(pair, discs, board, tuple(problems))
+    return ViewCheck(pair, discs, board, tuple(problems))
 
 
-def see_board(pair: CapturedPair, site: Site) -> Sight:
+def see_board(pair: CapturedPair, site: Site) -> ViewCheck:
     """Look at the board alone, as for a lens view."""
     sub = _sub_image(pair)
     try:
         board = detect_board(sub, Board.nominal(site.sub_target))
     except CoreError as error:
-        return Sight(pair, None, None, (str(error),))
-    return Sight(pair, None, board, tuple(_sub_problems(sub, board)))
+        return ViewCheck(pair, None, None, (str(error),))
+    return ViewCheck(pair, None, board, tuple(_sub_problems(sub, board)))
 
 
 def _sub_image(pair: CapturedPair) -> GreyImage:
@@ -79,7 +79,7 @@ def _main_problems(image: GreyImage, discs: Discs) -> Iterator[str]:
     if not discs.found.all():
         number = int((~discs.found).sum())
         yield f"main target: {number} of its {len(discs.found)} discs not found; clear the view"
-    elif (discs.clean < _CLEAN).any():
+    elif (discs.explained_fraction < _CLEAN).any():
         yield "main target: something covers part of a disc; clear the view"
     yield from _exposure("main", image, discs.contrast_dn, discs.points_px[discs.found])
     yield from _focus("main", discs.blur_px)
@@ -126,9 +126,9 @@ def _focus(role: str, blur_px: float) -> Iterator[str]:
 # ---------------------------------------------------------------------------------- at rest
 
 
-def settled_sight(
+def settled_view_check(
     source: FramePairSource, clock: Clock, site: Site, *, board_only: bool = False
-) -> tuple[datetime, Sight]:
+) -> tuple[datetime, ViewCheck]:
     """Look again and again until the board stands still; give the last look and its second.
 
     Judged by the sub-camera's own image: no head says when the rig it carries has stopped
@@ -141,16 +141,16 @@ def settled_sight(
     first_s = clock.monotonic_s()
     while clock.monotonic_s() - first_s < SETTLE_TIMEOUT_S:
         slot_utc = next_second(clock)
-        sight = see(source.capture(slot_utc), site)
-        if sight.board is None:
+        check = see(source.capture(slot_utc), site)
+        if check.board is None:
             if before is None and clock.monotonic_s() - first_s < 2 * LOOK_PERIOD_S:
                 continue  # perhaps still moving too fast to be seen
-            return slot_utc, sight
-        points = sight.board.view.points_px
+            return slot_utc, check
+        points = check.board.view.points_px
         if before is not None:
             moved_px = common_motion_px(before, points)
             if moved_px < still_px:
-                return slot_utc, sight
+                return slot_utc, check
         before = points
     msg = (
         f"the rig does not come to rest: after {SETTLE_TIMEOUT_S:g} s the board still moves by "

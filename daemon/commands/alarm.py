@@ -24,7 +24,7 @@ from daemon.config.reading import (
 )
 from daemon.error_report import lines_of
 from daemon.errors import ConfigError, ExitCode
-from daemon.status.facts import look
+from daemon.status.facts import collect_facts
 from daemon.status.verdict import Item, judge, no_verdict
 from daemon.text import utc_text
 
@@ -91,7 +91,7 @@ def _wrong_items(place: Place, now_utc: datetime) -> tuple[list[Item], bool]:
     if isinstance(place.config, ConfigError):
         return [no_verdict(place.config)], False
     try:
-        items = judge(look(place.config, place.state, now_utc))
+        items = judge(collect_facts(place.config, place.state, now_utc))
     except Exception as error:  # noqa: BLE001 - whatever hides how the site is must be told
         return [no_verdict(error)], False
     return wrong(items, place.settings), True

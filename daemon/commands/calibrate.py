@@ -22,7 +22,7 @@ from daemon.calibration.positions import VIEWS, Limits
 from daemon.calibration.run import CalibrationRun, calibrate_frames, store_run, views_in
 from daemon.calibration.session import (
     SIMULATED_LENS_VIEWS,
-    Rig,
+    CalibrationDevices,
     Session,
     take_again,
     take_views,
@@ -199,11 +199,11 @@ def calibrate_with_head(
         ):
             session = take_views(rig, state, config.config_hash(), lens, begun, steps.next, _tell)
         run, taken_utc = calibrate_on(config, session.directory, method, skew=skew)
-        misfits = _misfits(run)
-        if 0 < len(misfits) <= MOST_TAKEN_AGAIN:
-            note(f"{len(misfits)} positions do not fit the others; they are taken again")
-            with progress(len(misfits), "taking views again") as steps:
-                take_again(rig, session, misfits, steps.next, _tell)
+        residual_ratios = _residual_ratios(run)
+        if 0 < len(residual_ratios) <= MOST_TAKEN_AGAIN:
+            note(f"{len(residual_ratios)} positions do not fit the others; they are taken again")
+            with progress(len(residual_ratios), "taking views again") as steps:
+                take_again(rig, session, residual_ratios, steps.next, _tell)
             run, taken_utc = calibrate_on(config, session.directory, method, skew=skew)
         return run, rig.clock.now_utc() if simulated_clock else taken_utc
 
@@ -218,7 +218,7 @@ def told_when_interrupted(what_becomes_of_it: str) -> Iterator[None]:
         raise WorkFailedError(msg) from None
 
 
-def _steps(rig: Rig, lens: FrameSet | None, begun: Session | None) -> int:
+def _steps(rig: CalibrationDevices, lens: FrameSet | None, begun: Session | None) -> int:
     if begun is not None:
         return len(begun.plan.positions) + 1 - len(begun.done)
     return VIEWS + 1 + (SIMULATED_LENS_VIEWS if rig.hold_board and lens is None else 0)
@@ -228,7 +228,7 @@ def _tell(trouble: str) -> None:
     note(f"warning: {trouble}")
 
 
-def _misfits(run: CalibrationRun) -> list[str]:
+def _residual_ratios(run: CalibrationRun) -> list[str]:
     """Slots of the rig views that were rejected."""
     named = (re.match(r"rig (\S+)", entry["view"]) for entry in run.report.figures["rejected"])
     return [match[1] for match in named if match]
@@ -248,7 +248,7 @@ def found_lens_views(state: Path, directory: Path | None) -> FrameSet | None:
     return frames
 
 
-def require_lens_views(rig: Rig, lens: FrameSet | None) -> None:
+def require_lens_views(rig: CalibrationDevices, lens: FrameSet | None) -> None:
     """Raise UsageError where lens views are neither there nor can be taken without a person."""
     if lens is None and rig.hold_board is None:
         msg = (
@@ -296,7 +296,7 @@ def show_lens_view(covered: LensCoverage, said: str) -> None:
 
 
 @contextmanager
-def opened_rig(config: Config, before: Sequence[FrameSetRow]) -> Iterator[Rig]:
+def opened_rig(config: Config, before: Sequence[FrameSetRow]) -> Iterator[CalibrationDevices]:
     """Open cameras and head for a session; simulated time goes on after the views before it.
 
     Raises as `open_calibration_rig`.
@@ -307,7 +307,7 @@ def opened_rig(config: Config, before: Sequence[FrameSetRow]) -> Iterator[Rig]:
     clock = open_clock(config, begin_utc=begin_utc)
     devices = open_calibration_rig(config, clock)
     with closing(devices.source), closing(devices.head):
-        yield Rig(
+        yield CalibrationDevices(
             config.site(),
             devices.source,
             devices.head,

@@ -29,7 +29,7 @@ from daemon.devices import open_clock, open_simulated_rig
 from daemon.errors import UsageError, WorkFailedError
 from daemon.reports.figure import draw, require_matplotlib, series_of
 from daemon.reports.history import gap_spans
-from daemon.status.facts import look
+from daemon.status.facts import collect_facts
 from daemon.status.verdict import judge
 from daemon.store.database import Store, open_store, open_store_readonly
 from daemon.store.records import GapRecord, MeasurementRecord
@@ -138,7 +138,7 @@ def tell(site: Installation, store: Store, figure: Path | None) -> None:
     Raises WorkFailedError when a slot is unaccounted for or the corrected values are no good.
     """
     rows, gaps = list(store.measurements()), store.gaps()
-    facts = look(site.config, site.state_directory, rows[-1].slot_utc)
+    facts = collect_facts(site.config, site.state_directory, rows[-1].slot_utc)
     say("\n3. dcam-ctl status, at the last slot")
     print_status(facts, judge(facts))
     say(f"\n4. Coverage: {coverage_text(facts.coverage_24h)}")

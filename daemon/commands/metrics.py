@@ -11,7 +11,7 @@ import click
 from daemon.commands.options import Options, at_option, common_options, output_option, pass_options
 from daemon.durable import write_durable
 from daemon.reports.metrics import metrics_text, no_metrics_text
-from daemon.status.facts import look
+from daemon.status.facts import collect_facts
 from daemon.status.verdict import judge, no_verdict
 
 
@@ -30,7 +30,7 @@ def command(options: Options, at_utc: datetime | None, output: Path | None) -> N
     .prom. Where the site cannot be looked at only the level is written, and the exit code tells.
     """
     try:
-        facts = look(options.config, options.state, at_utc or datetime.now(UTC))
+        facts = collect_facts(options.config, options.state, at_utc or datetime.now(UTC))
         text = metrics_text(facts, judge(facts))
     except Exception as error:
         # Else the file would go on telling of the last good look.

@@ -12,17 +12,17 @@ from core.calibration.observability import further_motion
 from core.errors import CoreError
 from core.geometry.pose import Pose
 from core.planning.drawing import Campaign, Drawing, ImageQuality
-from core.planning.field_of_view import Room, room_of, warnings_of
+from core.planning.field_of_view import FieldOfView, field_of_view, warnings_of
 from core.planning.predicted_accuracy import (
-    Foreseen,
     Improvement,
     Limit,
+    PredictedAccuracy,
     calibrate_drawing,
     drift_rows,
-    foresee,
     improvements,
     limits_of,
     possible_changes,
+    predict,
     require_in_view,
 )
 from core.site import Site
@@ -44,8 +44,8 @@ class Plan:
 
     site: Site
     campaign: Campaign
-    room: Room
-    foreseen: Foreseen | None
+    room: FieldOfView
+    predicted: PredictedAccuracy | None
     """None where the plan cannot be calibrated."""
     limits: tuple[Limit, ...]
     improvements: tuple[Improvement, ...]
@@ -129,36 +129,36 @@ def make_plan(
 ) -> Plan:
     """Plan a site."""
     drawing = Drawing(site, quality)
-    room = room_of(drawing)
+    room = field_of_view(drawing)
     campaign = Campaign(lens_views, ())
     try:
         require_in_view(drawing)
         campaign = Campaign(lens_views, _positions(drawing, reach_deg))
-        setup = calibrate_drawing(drawing, campaign)
-        rows = drift_rows(drawing, setup)
+        calibrated = calibrate_drawing(drawing, campaign)
+        rows = drift_rows(drawing, calibrated)
     except CoreError as error:
         warnings = tuple(warnings_of(drawing, campaign, room))
         return Plan(site, campaign, room, None, (), (), None, warnings, str(error))
-    foreseen = foresee(rows, setup.posterior)
-    warnings = (*warnings_of(drawing, campaign, room), *_sigma_warnings(foreseen, site))
+    predicted = predict(rows, calibrated.posterior)
+    warnings = (*warnings_of(drawing, campaign, room), *_sigma_warnings(predicted, site))
     return Plan(
         site,
         campaign,
         room,
-        foreseen,
-        limits_of(drawing, setup, rows),
-        improvements(foreseen, possible_changes(drawing, campaign)),
-        further_motion(setup, site),
+        predicted,
+        limits_of(drawing, calibrated, rows),
+        improvements(predicted, possible_changes(drawing, campaign)),
+        further_motion(calibrated, site),
         warnings,
     )
 
 
-def _sigma_warnings(foreseen: Foreseen, site: Site) -> tuple[str, ...]:
+def _sigma_warnings(predicted: PredictedAccuracy, site: Site) -> tuple[str, ...]:
     limit_mm = site.quality.max_sigma_mm
-    if foreseen.worst_mm <= limit_mm:
+    if predicted.worst_mm <= limit_mm:
         return ()
     text = (
-        f"a corrected displacement will have a sigma of up to {foreseen.worst_mm:.2f} mm and be "
+        f"a corrected displacement will have a sigma of up to {predicted.worst_mm:.2f} mm and be "
         f"flagged: [quality] max_sigma_mm is {limit_mm:g} mm"
     )
     return (text,)
@@ -183,13 +183,13 @@ def say_plan(plan: Plan) -> None:
     say()
     for line in _room_lines(plan):
         say(line)
-    if plan.foreseen is not None:
+    if plan.predicted is not None:
         say()
-        _say_foreseen(plan, plan.foreseen)
+        _say_predicted(plan, plan.predicted)
         say()
-        _say_limits(plan, plan.foreseen)
+        _say_limits(plan, plan.predicted)
         say()
-        _say_better(plan, plan.foreseen)
+        _say_better(plan, plan.predicted)
     if plan.warnings:
         say()
     for text in plan.warnings:
@@ -245,7 +245,7 @@ def _pair(values: Any, x: str = "mm in x", y: str = "mm in y", digits: int = 0) 
     return f"+-{values[0]:.{digits}f} {x} and +-{values[1]:.{digits}f} {y}"
 
 
-def _say_foreseen(plan: Plan, foreseen: Foreseen) -> None:
+def _say_predicted(plan: Plan, predicted: PredictedAccuracy) -> None:
     limits = plan.site.quality
     amounts = {
         "rotation": f"{limits.expected_drift_mrad:g} mrad",
@@ -254,33 +254,33 @@ def _say_foreseen(plan: Plan, foreseen: Foreseen) -> None:
     drift = f"within {' and '.join(amounts.values())}"
     motions = [
         (f"{m.motion}, {amounts[m.motion.split()[0]]}", m.row_mm, m.calibration_mm)
-        for m in foreseen.motions
+        for m in predicted.motions
     ]
-    say(f"foreseen: 1 sigma of {foreseen.typical_mm:.2g} mm, for the rig anywhere {drift}")
+    say(f"predicted: 1 sigma of {predicted.typical_mm:.2g} mm, for the rig anywhere {drift}")
     say()
     rows = [
-        ("nowhere, as at the reference", f"{foreseen.still_mm.max():.4f}", ""),
-        (f"anywhere {drift}", f"{foreseen.typical_mm:.4f}", ""),
+        ("nowhere, as at the reference", f"{predicted.still_mm.max():.4f}", ""),
+        (f"anywhere {drift}", f"{predicted.typical_mm:.4f}", ""),
         *((name, f"{row_mm:.4f}", f"{own_mm:.4f}") for name, row_mm, own_mm in motions),
     ]
     print_table(("rig moved", "1 sigma of a row, mm", "the calibration's part, mm"), rows)
 
 
-def _say_limits(plan: Plan, foreseen: Foreseen) -> None:
+def _say_limits(plan: Plan, predicted: PredictedAccuracy) -> None:
     rows = []
     for limit in plan.limits:
-        share = 1.0 - (limit.without_mm / foreseen.typical_mm) ** 2
+        share = 1.0 - (limit.without_mm / predicted.typical_mm) ** 2
         if share >= _TOLD_SHARE:
             rows.append((limit.cause, f"{limit.without_mm:.4f}", f"{100.0 * share:.0f} %"))
     print_table(("what limits it", "1 sigma without, mm", "share of sigma squared"), rows)
 
 
-def _say_better(plan: Plan, foreseen: Foreseen) -> None:
+def _say_better(plan: Plan, predicted: PredictedAccuracy) -> None:
     if not plan.improvements and plan.further is None:
         say("no single change would better it by a tenth")
         return
     if plan.improvements:
-        say(f"what would better it, from {foreseen.typical_mm:.4f} mm:")
+        say(f"what would better it, from {predicted.typical_mm:.4f} mm:")
         rows = [(f"{x.typical_mm:.4f}", x.what) for x in plan.improvements]
         print_table(("1 sigma then, mm", "change"), rows)
     if plan.further is not None:
@@ -290,20 +290,20 @@ def _say_better(plan: Plan, foreseen: Foreseen) -> None:
 def plan_fields(plan: Plan) -> dict[str, Any]:
     """A plan in plain JSON types."""
     room = {f.name: _plain(getattr(plan.room, f.name)) for f in fields(plan.room)}
-    foreseen = None
-    if plan.foreseen is not None:
-        foreseen = {
-            "still_mm": plan.foreseen.still_mm.tolist(),
-            "drifted_mm": plan.foreseen.drifted_mm.tolist(),
-            "typical_mm": plan.foreseen.typical_mm,
-            "worst_mm": plan.foreseen.worst_mm,
-            "motions": [asdict(motion) for motion in plan.foreseen.motions],
+    predicted = None
+    if plan.predicted is not None:
+        predicted = {
+            "still_mm": plan.predicted.still_mm.tolist(),
+            "drifted_mm": plan.predicted.drifted_mm.tolist(),
+            "typical_mm": plan.predicted.typical_mm,
+            "worst_mm": plan.predicted.worst_mm,
+            "motions": [asdict(motion) for motion in plan.predicted.motions],
         }
     return {
         **room,
         "lens_views": plan.campaign.lens_views,
         "positions_deg": [list(position) for position in plan.campaign.positions_deg],
-        "foreseen": foreseen,
+        "predicted": predicted,
         "limits": [asdict(limit) for limit in plan.limits],
         "improvements": [asdict(improvement) for improvement in plan.improvements],
         "further_motion": plan.further,

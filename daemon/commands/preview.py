@@ -41,7 +41,7 @@ def command(options: Options, port: int, interval_s: float, looks: int | None) -
     "auto"` exposure follows the light from look to look.
     """
     from daemon.preview.server import Shown, serving
-    from daemon.preview.snapshot import Look, look_at
+    from daemon.preview.snapshot import Snapshot, take_snapshot
     from daemon.slots.exposure import loop_of
 
     config = options.config
@@ -50,7 +50,7 @@ def command(options: Options, port: int, interval_s: float, looks: int | None) -
     shown = Shown(config.name)
     best: dict[Role, float] = {"main": 0.0, "sub": 0.0}
 
-    def line(look: Look) -> str:
+    def line(look: Snapshot) -> str:
         parts = []
         for role, seen in look.cameras.items():
             best[role] = max(best[role], seen.focus)
@@ -72,7 +72,7 @@ def command(options: Options, port: int, interval_s: float, looks: int | None) -
             slot_utc = clock.now_utc().replace(microsecond=0)
             try:
                 pair = source.capture(slot_utc)
-                look = look_at(pair, site, clock.now_utc())
+                look = take_snapshot(pair, site, clock.now_utc())
                 if loop is not None:
                     loop.follow(source, [pair])
             except DeviceError as error:

@@ -86,7 +86,7 @@ def command(
             wanted = _of_record(store, since, until, shift or 0.0)
         _require_past(wanted, now_utc)
         if dry_run:
-            done = _foretell(store, schedule, wanted)
+            done = _predict(store, schedule, wanted)
         else:
             books = Books(store, options.state, schedule)
             done = redate(books, wanted.rows, wanted.undated, wanted.true_utc)
@@ -144,7 +144,7 @@ def _require_past(wanted: Wanted, now_utc: datetime) -> None:
     _require(latest_utc <= now_utc, f"the last pair would be of {utc_text(latest_utc)}: the future")
 
 
-def _foretell(store: Store, schedule: Schedule, wanted: Wanted) -> Redated:
+def _predict(store: Store, schedule: Schedule, wanted: Wanted) -> Redated:
     """What would come of it, as far as slots that are taken now can tell."""
     leaving = {row.slot_utc for row in wanted.rows}
 

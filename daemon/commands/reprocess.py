@@ -27,7 +27,7 @@ from daemon.config.reading import Config
 from daemon.errors import DatabaseMissingError, UsageError, WorkFailedError
 from daemon.reports.table import opened_output, write_results
 from daemon.slots.measuring import ActiveCalibration, PairFiles, load_pairs, measure, read_pair
-from daemon.slots.row_history import Sequence
+from daemon.slots.row_history import RowHistory
 from daemon.store.database import NEVER, open_store_readonly
 from daemon.store.frames.archive import FrameArchive
 from daemon.store.records import EPOCH, CalibrationRecord
@@ -91,7 +91,7 @@ def command(
         msg = f"{directory or options.state}: no frames to measure there"
         raise WorkFailedError(msg)
     results = []
-    sequence = Sequence(calibration, site.quality)
+    sequence = RowHistory(calibration, site.quality)
     with progress(len(jobs), "measuring") as steps:
         for slot_utc, measure in jobs:
             results.append((slot_utc, sequence.judge(slot_utc, measure())))

@@ -9,7 +9,7 @@ import click
 
 from daemon.commands.options import Options, at_option, common_options, json_option, pass_options
 from daemon.commands.output import gap_fields, print_json, print_table, result_fields, say
-from daemon.status.facts import Facts, look
+from daemon.status.facts import Facts, collect_facts
 from daemon.status.verdict import Item, Level, judge, no_verdict, worst
 from daemon.store.records import Coverage
 from daemon.text import utc_text
@@ -28,7 +28,7 @@ def command(options: Options, at_utc: datetime | None, as_json: bool) -> int:
 
     Exit code 0 OK, 1 warning, 2 critical, 3 unknown, as monitoring systems expect it.
     """
-    facts = look(options.config, options.state, at_utc or datetime.now(UTC))
+    facts = collect_facts(options.config, options.state, at_utc or datetime.now(UTC))
     items = judge(facts)
     if as_json:
         print_json(status_fields(facts, items))

@@ -14,7 +14,7 @@ from daemon.commands.output import Steps, note, print_json, progress, say
 from daemon.error_report import lines_of
 from daemon.errors import DatabaseDamagedError, DcamError, ExitCode
 from daemon.status.archive_check import ArchiveCheck, Removed
-from daemon.store.accounting import Era, read_eras
+from daemon.store.accounting import ScheduleEpoch, read_epochs
 from daemon.store.database import Store, open_store_readonly
 from daemon.store.records import Mark
 from daemon.store.salvage.damage_note import databases_set_aside, note_damage
@@ -116,18 +116,18 @@ def _removed(store: Store) -> Removed:
     return removed
 
 
-def _eras(options: Options, store: Store) -> list[Era]:
+def _eras(options: Options, store: Store) -> list[ScheduleEpoch]:
     """The site's schedules: as dcamd noted them, else that of the config."""
-    eras = read_eras(store.get_mark(Mark.SCHEDULES))
-    if not eras:
+    epochs = read_epochs(store.get_mark(Mark.SCHEDULES))
+    if not epochs:
         try:
             schedule = options.config.schedule
         except DcamError as error:
             why = "; ".join(lines_of(error))
             note(f"slots are not looked at: dcamd noted no schedule yet, and {why}")
             return []
-        eras = [Era(None, schedule.period_s, schedule.offset_s)]
-    return eras
+        epochs = [ScheduleEpoch(None, schedule.period_s, schedule.offset_s)]
+    return epochs
 
 
 def _have_it_looked_at(options: Options, findings: list[Finding]) -> None:

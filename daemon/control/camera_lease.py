@@ -12,7 +12,7 @@ _LOOK_S = 1.0
 """How often it is looked whether there is room by now, between the ends of slots."""
 
 
-class Pause:
+class CameraLease:
     """One holder at a time keeps slots from being taken; the cameras are released meanwhile."""
 
     def __init__(

@@ -22,7 +22,7 @@ from typing import Any, Literal
 import structlog
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from daemon.control.camera_lease import Pause
+from daemon.control.camera_lease import CameraLease
 from daemon.control.run_state import runtime_directory
 from daemon.error_report import exit_code_of, lines_of
 from daemon.errors import DcamError, ExitCode, HardwareError
@@ -71,7 +71,7 @@ class Answer(BaseModel):
 
 
 @dataclass(frozen=True, slots=True)
-class Offers:
+class CommandHandlers:
     """What else the daemon does when it is asked; called in threads, one at a time."""
 
     capture: Callable[[], dict[str, Any]]
@@ -94,7 +94,9 @@ def _address(directory: Path) -> Iterator[str]:
 
 
 @contextmanager
-def control_socket(state: Path, pause: Pause, offers: Offers | None = None) -> Iterator[None]:
+def control_socket(
+    state: Path, pause: CameraLease, offers: CommandHandlers | None = None
+) -> Iterator[None]:
     """Answer on the control socket while the block runs, in a thread of its own.
 
     Where no socket can be made the daemon measures all the same; its log says why.
@@ -135,9 +137,9 @@ def _listen(directory: Path) -> socket.socket:
 class _Server:
     """The connections, on an event loop of their own."""
 
-    def __init__(self, pause: Pause, offers: Offers | None) -> None:
-        self._pause = pause
-        self._offers = offers
+    def __init__(self, pause: CameraLease, offers: CommandHandlers | None) -> None:
+        self._lease = pause
+        self._handlers = offers
         self._busy = ""
         """What is being done for a client, of that which is done for one at a time."""
         self._started = threading.Event()
@@ -181,7 +183,7 @@ class _Server:
         """Answer line after line; a pause ends with its connection."""
         try:
             while True:
-                patience_s = PAUSE_LIMIT_S if self._pause.held_by(holder) else REQUEST_TIMEOUT_S
+                patience_s = PAUSE_LIMIT_S if self._lease.held_by(holder) else REQUEST_TIMEOUT_S
                 line = await asyncio.wait_for(reader.readline(), patience_s)
                 if not line:
                     return
@@ -190,7 +192,7 @@ class _Server:
                 await asyncio.wait_for(writer.drain(), REQUEST_TIMEOUT_S)
         finally:
             # The slot in progress may hold the switch: no waiting in the event loop.
-            await asyncio.shield(asyncio.to_thread(self._pause.release, holder))
+            await asyncio.shield(asyncio.to_thread(self._lease.release, holder))
 
     async def _answer(self, line: bytes, holder: object) -> Answer:
         try:
@@ -200,24 +202,24 @@ class _Server:
             where = ".".join(str(part) for part in first["loc"])
             return Answer(ok=False, error=f"not understood: {where}: {first['msg']}".strip(": "))
         if request.command == "pause":
-            taken = await asyncio.to_thread(self._pause.hold, holder, request.reason or "paused")
+            taken = await asyncio.to_thread(self._lease.hold, holder, request.reason or "paused")
             if not taken:
-                return Answer(ok=False, error=f"paused already: {self._pause.reason}")
+                return Answer(ok=False, error=f"paused already: {self._lease.reason}")
             self._idle.pop(holder, None)
         elif request.command == "resume":
-            await asyncio.to_thread(self._pause.release, holder)
+            await asyncio.to_thread(self._lease.release, holder)
         elif request.command != "status":
             return await self._offered(request.command, holder)
-        return Answer(ok=True, paused=self._pause.reason or "")
+        return Answer(ok=True, paused=self._lease.reason or "")
 
     async def _offered(self, command: Literal["capture", "reload"], holder: object) -> Answer:
         """Do it in a thread; a crowd that asks for it gets one, and the others are refused."""
-        if self._offers is None or self._busy:
+        if self._handlers is None or self._busy:
             return Answer(ok=False, error=f"{self._busy or 'start'} in progress; try again later")
         self._busy = command
         writer = self._idle.pop(holder, None)  # a crowd does not push out who is being served
         try:
-            look = await asyncio.to_thread(getattr(self._offers, command))
+            look = await asyncio.to_thread(getattr(self._handlers, command))
         except Exception as error:  # noqa: BLE001 - it is the client's to know; slots go on
             code = exit_code_of(error)
             return Answer(ok=False, error="\n".join(lines_of(error))[:MAX_ERROR], exit_code=code)
@@ -225,7 +227,7 @@ class _Server:
             self._busy = ""
             if writer is not None:
                 self._idle[holder] = writer
-        return Answer(ok=True, paused=self._pause.reason or "", look=look)
+        return Answer(ok=True, paused=self._lease.reason or "", look=look)
 
 
 # ---------------------------------------------------------------------------------- the client

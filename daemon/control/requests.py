@@ -22,7 +22,7 @@ STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 SIGNALS = (*STOP_SIGNALS, signal.SIGHUP)
 
 
-class Orders(Generic[_T]):
+class ControlRequests(Generic[_T]):
     """Wakes the slot loop, and knows why; the slot in progress ends first."""
 
     def __init__(self) -> None:
@@ -67,7 +67,7 @@ class Orders(Generic[_T]):
 
 
 @contextmanager
-def given_by_signals(orders: Orders[_T]) -> Iterator[None]:
+def given_by_signals(orders: ControlRequests[_T]) -> Iterator[None]:
     """While the block runs, SIGTERM and SIGINT stop, and SIGHUP reloads.
 
     They are obeyed by a thread of its own: a Python handler runs in between two steps of the
@@ -104,7 +104,7 @@ def _noted(_number: int, _frame: FrameType | None) -> None:
     """Do nothing: the interpreter has written the signal's number to the wakeup descriptor."""
 
 
-def _reload(orders: Orders[_T]) -> None:
+def _reload(orders: ControlRequests[_T]) -> None:
     try:
         orders.reload()
     except Exception as error:  # noqa: BLE001 - the config in force stays in force

@@ -12,7 +12,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from daemon.errors import HardwareError
-from daemon.preview.snapshot import Look
+from daemon.preview.snapshot import Snapshot
 
 LOOPBACK = "127.0.0.1"
 _PAGE = Path(__file__).with_name("page.html")
@@ -26,11 +26,11 @@ class Shown:
     def __init__(self, site: str) -> None:
         self.site = site
         self._lock = threading.Lock()
-        self._look: Look | None = None
+        self._look: Snapshot | None = None
         self._number = 0
         self._trouble = "waiting for the first pair"
 
-    def show(self, look: Look) -> None:
+    def show(self, look: Snapshot) -> None:
         """A pair was taken."""
         with self._lock:
             self._look, self._trouble = look, ""

@@ -12,7 +12,7 @@ import numpy as np
 from core.arrays import FloatArray
 from core.images import GreyImage
 from core.site import Site
-from daemon.calibration.view_check import Sight, see_pair
+from daemon.calibration.view_check import ViewCheck, see_pair
 from drivers.protocols import CapturedFrame, CapturedPair, Role
 
 SHOWN_WIDTH_PX = 960
@@ -49,7 +49,7 @@ class CameraLook:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class Snapshot:
     """One pair."""
 
     time_utc: datetime
@@ -65,20 +65,20 @@ class Look:
         }
 
 
-def look_at(pair: CapturedPair, site: Site, time_utc: datetime) -> Look:
+def take_snapshot(pair: CapturedPair, site: Site, time_utc: datetime) -> Snapshot:
     """Look for the targets in a pair and make everything that is shown of it."""
-    sight = see_pair(pair, site)
+    check = see_pair(pair, site)
     seen: dict[Role, tuple[CapturedFrame, FloatArray | None]] = {
-        "main": (pair.main, None if sight.discs is None else _found_points(sight)),
-        "sub": (pair.sub, None if sight.board is None else sight.board.view.points_px),
+        "main": (pair.main, None if check.discs is None else _found_points(check)),
+        "sub": (pair.sub, None if check.board is None else check.board.view.points_px),
     }
     pictures: dict[str, bytes] = {}
     for role, (frame, points_px) in seen.items():
         pictures[role], pictures[f"{role}_detail"] = _pictures(frame, points_px)
     cameras: dict[Role, CameraLook] = {
-        role: _camera(role, frame, points_px, sight) for role, (frame, points_px) in seen.items()
+        role: _camera(role, frame, points_px, check) for role, (frame, points_px) in seen.items()
     }
-    return Look(time_utc, cameras, pictures)
+    return Snapshot(time_utc, cameras, pictures)
 
 
 def focus_figure(image: GreyImage) -> float:
@@ -92,14 +92,14 @@ def focus_figure(image: GreyImage) -> float:
     return float(cv2.Laplacian(smooth, cv2.CV_32F).var()) / max(float(smooth.var()), 1.0)
 
 
-def _found_points(sight: Sight) -> FloatArray:
-    if sight.discs is None:
+def _found_points(check: ViewCheck) -> FloatArray:
+    if check.discs is None:
         return np.empty((0, 2))
-    return sight.discs.points_px[sight.discs.found]
+    return check.discs.points_px[check.discs.found]
 
 
 def _camera(
-    role: Role, frame: CapturedFrame, points_px: FloatArray | None, sight: Sight
+    role: Role, frame: CapturedFrame, points_px: FloatArray | None, check: ViewCheck
 ) -> CameraLook:
     image = GreyImage(frame.pixels, frame.bits)
     height_px, width_px = frame.pixels.shape
@@ -108,12 +108,12 @@ def _camera(
     if points_px is not None and len(points_px):
         middle = (points_px.min(axis=0) + points_px.max(axis=0)) / 2.0
         off = (float(middle[0] - width_px / 2.0), float(middle[1] - height_px / 2.0))
-    target = sight.discs if role == "main" else sight.board
+    target = check.discs if role == "main" else check.board
     return CameraLook(
         width_px=width_px,
         height_px=height_px,
-        found=_found_text(role, sight),
-        problems=tuple(line for line in sight.problems if _is_of(role, line)),
+        found=_found_text(role, check),
+        problems=tuple(line for line in check.problems if _is_of(role, line)),
         focus=focus_figure(image),
         blur_px=None if target is None else float(target.blur_px),
         off_centre_px=off,
@@ -126,14 +126,14 @@ def _camera(
     )
 
 
-def _found_text(role: Role, sight: Sight) -> str:
+def _found_text(role: Role, check: ViewCheck) -> str:
     if role == "main":
-        if sight.discs is None:
+        if check.discs is None:
             return "target not found"
-        return f"{int(sight.discs.found.sum())} of {len(sight.discs.found)} discs found"
-    if sight.board is None:
+        return f"{int(check.discs.found.sum())} of {len(check.discs.found)} discs found"
+    if check.board is None:
         return "board not found"
-    return f"{len(sight.board.view.index)} of {sight.board.visible} corners in view found"
+    return f"{len(check.board.view.index)} of {check.board.visible} corners in view found"
 
 
 def _is_of(role: Role, problem: str) -> bool:

@@ -107,7 +107,7 @@ def _site(facts: Facts) -> Iterator[GaugeMetricFamily]:
         fits = calibration.config_hash == facts.config_hash
         yield _gauge("calibration_fits_config", "0 if the config has changed since", fits)
     text = "Residuals of the corners over their level at calibration"
-    yield _gauge("calibration_misfit_ratio", text, facts.misfit)
+    yield _gauge("calibration_misfit_ratio", text, facts.residual_ratio)
     synchronised = facts.clock_synchronised
     yield _gauge("clock_synchronised", "1 if NTP or PTP disciplines the clock", synchronised)
     yield _gauge("undated_pairs", "Taken under a wrong clock, without a slot yet", facts.undated)

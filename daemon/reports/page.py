@@ -20,7 +20,7 @@ from core.results import Flag
 from daemon.config.reading import Installation
 from daemon.reports.figure import draw
 from daemon.reports.history import History, gap_spans
-from daemon.status.facts import look
+from daemon.status.facts import collect_facts
 from daemon.status.verdict import judge, worst
 from daemon.store.database import Store
 from daemon.store.records import MeasurementRecord
@@ -48,7 +48,7 @@ def render(site: Installation, store: Store, history: History) -> str:
     """Make the page. Raises StoreError, OSError."""
     rows = store.measurements(history.since_utc, history.until_utc)
     months, reasons, calibrations = _summary(rows)
-    facts = look(site.config, site.state_directory, datetime.now(UTC))
+    facts = collect_facts(site.config, site.state_directory, datetime.now(UTC))
     items = judge(facts)
     events = store.events(history.since_utc, history.until_utc)
     environment = Environment(autoescape=True, undefined=StrictUndefined)

@@ -28,7 +28,7 @@ from core.exposure.target_light import (
 )
 from core.images import GreyImage
 from core.results import Measurement
-from core.rig.calibrated_site import Setup
+from core.rig.calibrated_site import CalibratedSite
 from core.site import Site
 from daemon.store.database import Store
 from daemon.store.records import CameraState
@@ -81,7 +81,7 @@ class ExposureLoop:
         source: FramePairSource,
         pairs: Sequence[CapturedPair],
         measurement: Measurement | None = None,
-        setup: Setup | None = None,
+        calibrated: CalibratedSite | None = None,
         roles: Sequence[Role] = ("main", "sub"),
     ) -> bool:
         """Look at the pairs of a slot and set the exposure of the next one; tell if it changes.
@@ -96,7 +96,7 @@ class ExposureLoop:
                 continue
             camera = self._cameras[role]
             images = [GreyImage(frame.pixels, frame.bits) for frame in frames]
-            light = self._light(role, camera, images, measurement, setup)
+            light = self._light(role, camera, images, measurement, calibrated)
             camera.rule = _narrowed(camera, now)
             after = next_exposure(now, camera.rule, light, camera.lost_slots)
             if after not in (now, camera.asked):
@@ -124,13 +124,13 @@ class ExposureLoop:
         camera: _Camera,
         images: Sequence[GreyImage],
         measurement: Measurement | None,
-        setup: Setup | None,
+        calibrated: CalibratedSite | None,
     ) -> TargetLight:
         """Light of the target, or of the area where it should be; the median of a burst's."""
         see = self._see_main if role == "main" else self._see_sub
         lights: list[TargetLight] = []
-        for image in images if setup is not None else images[-1:]:
-            light, points_px, margin_px = see(image, measurement, setup)
+        for image in images if calibrated is not None else images[-1:]:
+            light, points_px, margin_px = see(image, measurement, calibrated)
             if light is None or points_px is None:
                 break
             camera.area = box_about(image, points_px, margin_px)
@@ -146,13 +146,13 @@ class ExposureLoop:
         return _middle(areas)
 
     def _see_main(
-        self, image: GreyImage, measurement: Measurement | None, setup: Setup | None
+        self, image: GreyImage, measurement: Measurement | None, calibrated: CalibratedSite | None
     ) -> _Seen:
         target = self._site.main_target
-        if setup is not None:
+        if calibrated is not None:
             if measurement is None or measurement.raw is None:
                 return _UNSEEN
-            points, radii = discs_in_image(setup, target, measurement.raw)
+            points, radii = discs_in_image(calibrated, target, measurement.raw)
         else:
             try:
                 discs = find_discs(image, target, self._site.nominal_px_per_mm)
@@ -163,13 +163,13 @@ class ExposureLoop:
         return disc_light(image, points, radii), points, 2.0 * float(radii.max())
 
     def _see_sub(
-        self, image: GreyImage, measurement: Measurement | None, setup: Setup | None
+        self, image: GreyImage, measurement: Measurement | None, calibrated: CalibratedSite | None
     ) -> _Seen:
-        if setup is not None:
+        if calibrated is not None:
             if measurement is None or measurement.motion is None:
                 return _UNSEEN
-            board = setup.board
-            index, points = corners_in_image(setup, measurement.motion)
+            board = calibrated.board
+            index, points = corners_in_image(calibrated, measurement.motion)
         else:
             board = Board.nominal(self._site.sub_target)
             try:

@@ -28,7 +28,7 @@ from daemon.slots.measuring import (
     measure,
     worst_skew_s,
 )
-from daemon.slots.row_history import in_sequence
+from daemon.slots.row_history import judge_in_history
 from daemon.slots.supervision import Action, Policy, policy_of
 from daemon.store.database import NEVER, Store
 from daemon.store.frames.archive import FrameArchive, StoredPair, camera_state
@@ -58,7 +58,7 @@ class Missed:
 
 
 @dataclass(frozen=True, slots=True)
-class Pipeline:
+class SlotContext:
     """What a slot passes through; the same for every slot of a run."""
 
     site: Site
@@ -79,57 +79,57 @@ class Pipeline:
 
 
 def run_slot(
-    line: Pipeline, slot_utc: datetime, source: FramePairSource
+    context: SlotContext, slot_utc: datetime, source: FramePairSource
 ) -> MeasurementRecord | Missed:
     """Take, keep, measure and record one slot; never raises for what a slot can meet.
 
     A `MeasurementRecord` is on the disk and has been acknowledged. A `Missed` slot has no row; to
     put it into a gap is the caller's part.
     """
-    started_s = line.clock.monotonic_s()
-    synchronised = line.machine.clock_synchronised()
+    started_s = context.clock.monotonic_s()
+    synchronised = context.machine.clock_synchronised()
     try:
-        shots = _take(line, slot_utc, source, started_s)
+        shots = _take(context, slot_utc, source, started_s)
     except Exception as error:  # noqa: BLE001 - whatever a driver raises costs this slot only
         return _missed(slot_utc, error, GapCause.CAPTURE_FAILED)
     try:
-        stored = _keep_frames(line, slot_utc, shots)
-        calibration = active_calibration(line.store)
-        record = _measure_captured(line, slot_utc, shots, stored, calibration)
+        stored = _keep_frames(context, slot_utc, shots)
+        calibration = active_calibration(context.store)
+        record = _measure_captured(context, slot_utc, shots, stored, calibration)
         record = replace(record, clock_synchronised=synchronised)
-        _follow_light(line, source, shots, record.measurement, calibration)
-        add = line.store.add_undated if line.undated else line.store.add_measurement
-        line.disk.with_room(lambda: add(record))
+        _follow_light(context, source, shots, record.measurement, calibration)
+        add = context.store.add_undated if context.undated else context.store.add_measurement
+        context.disk.with_room(lambda: add(record))
     except Exception as error:  # noqa: BLE001 - as above; frames that were kept are measured late
         return _missed(slot_utc, error, GapCause.STORAGE_FAILED)
-    _acknowledge(line, record, started_s)
+    _acknowledge(context, record, started_s)
     return record
 
 
-def record_late(line: Pipeline, slot_utc: datetime) -> MeasurementRecord:
+def record_late(context: SlotContext, slot_utc: datetime) -> MeasurementRecord:
     """Measure the pair of a slot that was left without a row, and record it under its slot.
 
     Raises StoreError.
     """
-    started_s = line.clock.monotonic_s()
-    record = measure_stored(line, slot_utc)
-    line.store.add_measurement(record)
-    _acknowledge(line, record, started_s)
-    line.late_row_done(slot_utc)
+    started_s = context.clock.monotonic_s()
+    record = measure_stored(context, slot_utc)
+    context.store.add_measurement(record)
+    _acknowledge(context, record, started_s)
+    context.late_row_done(slot_utc)
     return record
 
 
-def measure_stored(line: Pipeline, slot_utc: datetime) -> MeasurementRecord:
+def measure_stored(context: SlotContext, slot_utc: datetime) -> MeasurementRecord:
     """Measure a slot's pairs of the archive with the active calibration; nothing is written.
 
     Damaged pairs alone give a bad row without frames, its reason says so. Raises StoreError.
     """
-    calibration = active_calibration(line.store)
-    pairs, first = load_pairs(line.archive, slot_utc)
+    calibration = active_calibration(context.store)
+    pairs, first = load_pairs(context.archive, slot_utc)
     record = MeasurementRecord(
         slot_utc=slot_utc,
-        measurement=_measure(line, slot_utc, pairs, calibration),
-        config_hash=line.config_hash,
+        measurement=_measure(context, slot_utc, pairs, calibration),
+        config_hash=context.config_hash,
         version=VERSION,
         calibration_id=calibration.id if calibration else None,
         recorded_late=True,
@@ -148,7 +148,7 @@ def measure_stored(line: Pipeline, slot_utc: datetime) -> MeasurementRecord:
 
 
 def _measure_captured(
-    line: Pipeline,
+    context: SlotContext,
     slot_utc: datetime,
     shots: Sequence[Shot],
     stored: StoredPair | None,
@@ -158,56 +158,58 @@ def _measure_captured(
     first = shots[0].pair
     return MeasurementRecord(
         slot_utc=slot_utc,
-        measurement=_measure(line, slot_utc, pairs, calibration),
-        config_hash=line.config_hash,
+        measurement=_measure(context, slot_utc, pairs, calibration),
+        config_hash=context.config_hash,
         version=VERSION,
         calibration_id=calibration.id if calibration else None,
         skew_s=worst_skew_s(pairs),
-        main_frame=_in_state(line, stored.main_path) if stored else None,
-        sub_frame=_in_state(line, stored.sub_path) if stored else None,
+        main_frame=_in_state(context, stored.main_path) if stored else None,
+        sub_frame=_in_state(context, stored.sub_path) if stored else None,
         captured_utc=shots[0].captured_utc,
-        boot_id=line.machine.boot_id,
-        uptime_s=line.machine.uptime_s() - (line.clock.monotonic_s() - shots[0].captured_s),
+        boot_id=context.machine.boot_id,
+        uptime_s=context.machine.uptime_s() - (context.clock.monotonic_s() - shots[0].captured_s),
         main_camera=camera_state(first.main),
         sub_camera=camera_state(first.sub),
     )
 
 
 def _measure(
-    line: Pipeline,
+    context: SlotContext,
     slot_utc: datetime,
     pairs: Sequence[ImagePair],
     calibration: ActiveCalibration | None,
 ) -> Measurement:
     """Measure a slot's pairs and hold the result against the rows before."""
-    alone = measure(pairs, line.site, calibration)
-    before_utc = NEVER if line.undated else slot_utc
-    return in_sequence(line.store, calibration, line.site.quality, before_utc, alone)
+    alone = measure(pairs, context.site, calibration)
+    before_utc = NEVER if context.undated else slot_utc
+    return judge_in_history(context.store, calibration, context.site.quality, before_utc, alone)
 
 
-def _in_state(line: Pipeline, path: str) -> str:
+def _in_state(context: SlotContext, path: str) -> str:
     """A path of the archive as one of the state directory."""
-    return (line.archive.state / path).relative_to(line.store.path.parent).as_posix()
+    return (context.archive.state / path).relative_to(context.store.path.parent).as_posix()
 
 
 def _follow_light(
-    line: Pipeline,
+    context: SlotContext,
     source: FramePairSource,
     shots: Sequence[Shot],
     measurement: Measurement,
     calibration: ActiveCalibration | None,
 ) -> None:
     """Set the next slot's exposure by this one's; whatever goes wrong leaves it as it is."""
-    if line.exposure is None:
+    if context.exposure is None:
         return
-    setup = calibration.calibration.setup if calibration else None
+    calibrated = calibration.calibration.calibrated if calibration else None
     try:
-        line.exposure.follow(source, [shot.pair for shot in shots], measurement, setup)
+        context.exposure.follow(source, [shot.pair for shot in shots], measurement, calibrated)
     except Exception:  # noqa: BLE001 - a fault of ours costs the adjustment, not the row
         _log.exception("exposure_not_followed")
 
 
-def _keep_frames(line: Pipeline, slot_utc: datetime, shots: Sequence[Shot]) -> StoredPair | None:
+def _keep_frames(
+    context: SlotContext, slot_utc: datetime, shots: Sequence[Shot]
+) -> StoredPair | None:
     """Put the frames on the disk and give the first pair's places.
 
     Where there is no room for them the measurement goes on alone, and its row names none; of a
@@ -216,17 +218,17 @@ def _keep_frames(line: Pipeline, slot_utc: datetime, shots: Sequence[Shot]) -> S
     first: StoredPair | None = None
     try:
         for shot in shots:
-            line.disk.require_room()
-            stored = line.archive.store(slot_utc, shot.pair, shot.captured_utc, shot.number)
+            context.disk.require_room()
+            stored = context.archive.store(slot_utc, shot.pair, shot.captured_utc, shot.number)
             first = first or stored
     except StoreError as error:
-        line.disk.frames_refused(slot_utc, error)
+        context.disk.frames_refused(slot_utc, error)
         return first
-    line.disk.frames_kept(slot_utc)
+    context.disk.frames_kept(slot_utc)
     return first
 
 
-def _acknowledge(line: Pipeline, record: MeasurementRecord, started_s: float) -> None:
+def _acknowledge(context: SlotContext, record: MeasurementRecord, started_s: float) -> None:
     """Say that the slot is done; only of a row that is on the disk."""
     measurement, displacement = record.measurement, record.measurement.corrected
     x_mm, y_mm = displacement.mm.round(4).tolist() if displacement else (None, None)
@@ -238,25 +240,25 @@ def _acknowledge(line: Pipeline, record: MeasurementRecord, started_s: float) ->
         x_mm=x_mm,
         y_mm=y_mm,
         late=record.recorded_late,
-        undated=line.undated,
-        took_s=round(line.clock.monotonic_s() - started_s, 3),
+        undated=context.undated,
+        took_s=round(context.clock.monotonic_s() - started_s, 3),
     )
 
 
 def _take(
-    line: Pipeline, slot_utc: datetime, source: FramePairSource, started_s: float
+    context: SlotContext, slot_utc: datetime, source: FramePairSource, started_s: float
 ) -> list[Shot]:
     """Take the slot's pairs; what may be tried once more is, if that does not make them late."""
     try:
-        return take_burst(source, line.clock, slot_utc, line.burst)
+        return take_burst(source, context.clock, slot_utc, context.burst)
     except DriverError as error:
-        passed_s = line.clock.monotonic_s() - started_s
+        passed_s = context.clock.monotonic_s() - started_s
         if policy_of(error).action is not Action.RETRY or passed_s > RETRY_WITHIN_S:
             raise
         _log.warning("capture_tried_again", slot=slot_text(slot_utc), error=str(error))
         first = error
     try:
-        return take_burst(source, line.clock, slot_utc, line.burst)
+        return take_burst(source, context.clock, slot_utc, context.burst)
     except DeviceLostError:  # given up by now, for what it did before: that is why there is no pair
         raise first from None
 

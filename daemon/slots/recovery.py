@@ -14,7 +14,7 @@ from daemon.clock.downtime import Absence, absence_text, read_absence, why_absen
 from daemon.errors import StoreError
 from daemon.schedule import SECOND, Schedule
 from daemon.slots.missing_slots import account_for_lost, note_schedule
-from daemon.slots.pipeline import Pipeline, record_late
+from daemon.slots.pipeline import SlotContext, record_late
 from daemon.slots.time_correction import finish_moves, mend_undated
 from daemon.store.database import Store
 from daemon.store.records import EPOCH, GapCause, Mark
@@ -26,43 +26,45 @@ LOOK_BACK = timedelta(days=7)
 """How far before the last row pairs without a row are looked for: the archive may hold years."""
 
 
-def recover(line: Pipeline, schedule: Schedule) -> datetime | None:
+def recover(context: SlotContext, schedule: Schedule) -> datetime | None:
     """Bring the record up to the present; give the last slot that is accounted for.
 
     Slots since the last finished one become a gap with the cause of the absence; pairs without a
     row are measured and recorded late, which takes their slots out of the gap again. Raises
     StoreError.
     """
-    note_schedule(line.store, schedule)
-    cause, detail = why_absent(line.store, line.machine.boot_id)
-    close_gap(line, schedule, cause, detail)
-    mark_start(line, schedule, cause, detail)
-    last_row = line.store.last_slot()
+    note_schedule(context.store, schedule)
+    cause, detail = why_absent(context.store, context.machine.boot_id)
+    close_gap(context, schedule, cause, detail)
+    mark_start(context, schedule, cause, detail)
+    last_row = context.store.last_slot()
     since = EPOCH if last_row is None else last_row - LOOK_BACK
-    line.archive.mend(since)
-    mend_undated(line)
-    measure_orphans(line, since)
-    account_for_lost(line)
+    context.archive.repair(since)
+    mend_undated(context)
+    measure_orphans(context, since)
+    account_for_lost(context)
     # Late rows take their time; what was missed meanwhile has the same cause.
-    return close_gap(line, schedule, cause, detail)
+    return close_gap(context, schedule, cause, detail)
 
 
-def close_gap(line: Pipeline, schedule: Schedule, cause: GapCause, detail: str) -> datetime | None:
+def close_gap(
+    context: SlotContext, schedule: Schedule, cause: GapCause, detail: str
+) -> datetime | None:
     """Put the slots since the last finished one, up to the next one, into a gap.
 
     Gives the last slot accounted for, None when the record has not begun. Raises StoreError.
     """
-    finished = _mark_time(line.store, Mark.HEARTBEAT_UTC)
-    accounted = line.store.accounted()
+    finished = _mark_time(context.store, Mark.HEARTBEAT_UTC)
+    accounted = context.store.accounted()
     last = accounted[1] if accounted else finished
     if last is None:
         return None
-    next_slot = schedule.next_slot(line.clock.now_utc(), last)
+    next_slot = schedule.next_slot(context.clock.now_utc(), last)
     # A row taken by hand may lie after the last slot that the daemon finished.
     missed = schedule.missed_between(min(last, finished or last), next_slot)
     if missed is None:
         return last
-    count = line.store.record_gap(
+    count = context.store.record_gap(
         missed.first_utc, missed.last_utc, cause, detail, period_s=schedule.period_s
     )
     if count:
@@ -77,16 +79,16 @@ def close_gap(line: Pipeline, schedule: Schedule, cause: GapCause, detail: str) 
     return max(last, missed.last_utc)
 
 
-def measure_orphans(line: Pipeline, since: datetime) -> int:
+def measure_orphans(context: SlotContext, since: datetime) -> int:
     """Measure the stored pairs without a row, each recorded under its own slot; give how many.
 
     A row that the database refuses stays an orphan. Raises StoreError when it cannot be read.
     """
     late = 0
-    known = line.store.measured_slots(since) | finish_moves(line, since)
-    for slot_utc in line.archive.orphans(known, since):
+    known = context.store.measured_slots(since) | finish_moves(context, since)
+    for slot_utc in context.archive.orphans(known, since):
         try:
-            record_late(line, slot_utc)
+            record_late(context, slot_utc)
         except StoreError as error:
             _log.error("late_row_refused", slot=slot_text(slot_utc), error=str(error))
             continue
@@ -97,28 +99,28 @@ def measure_orphans(line: Pipeline, since: datetime) -> int:
     return late
 
 
-def mark_start(line: Pipeline, schedule: Schedule, cause: GapCause, detail: str) -> None:
+def mark_start(context: SlotContext, schedule: Schedule, cause: GapCause, detail: str) -> None:
     """Note that a daemon runs: from now on its absence is a crash or a loss of power.
 
     Why there was none before this boot is noted once for each boot. Raises StoreError.
     """
-    accounted = line.store.accounted()
-    now_utc = line.clock.now_utc()
+    accounted = context.store.accounted()
+    now_utc = context.clock.now_utc()
     # A slot that is due just now is still to be taken.
     now_utc = min(now_utc, schedule.next_slot(now_utc, None) - SECOND)
     # A clock that woke in the past must not move the beginning of the next gap there.
     finished_utc = max(now_utc, accounted[1]) if accounted else now_utc
     marks: dict[Mark, str | None] = {
         Mark.HEARTBEAT_UTC: instant_text(finished_utc),
-        Mark.BOOT_ID: line.machine.boot_id,
+        Mark.BOOT_ID: context.machine.boot_id,
         Mark.CLEAN_STOP_UTC: None,
     }
-    before = read_absence(line.store)
-    if before is None or before.boot_id != line.machine.boot_id:
+    before = read_absence(context.store)
+    if before is None or before.boot_id != context.machine.boot_id:
         behind = accounted is not None and schedule.is_behind(now_utc, accounted[1])
-        absence = Absence(cause, detail, line.machine.boot_id, is_open=behind)
+        absence = Absence(cause, detail, context.machine.boot_id, is_open=behind)
         marks[Mark.ABSENCE] = absence_text(absence)
-    line.store.set_marks(marks)
+    context.store.set_marks(marks)
 
 
 def mark_finished(store: Store, time_utc: datetime) -> None:

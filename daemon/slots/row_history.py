@@ -13,7 +13,7 @@ from daemon.store.database import Store
 from daemon.store.records import BELIEVED, SLIPPED, MeasurementRecord
 
 
-class Sequence:
+class RowHistory:
     """The rows of one calibration in the order of their slots, each judged by those before."""
 
     def __init__(
@@ -22,20 +22,20 @@ class Sequence:
         limits: QualityLimits,
         so_far: Continuity | None = None,
     ) -> None:
-        self._setup = calibration.calibration.setup
+        self._calibrated = calibration.calibration.calibrated
         self._limits = limits
         self.so_far = so_far or Continuity()
 
     def judge(self, slot_utc: datetime, measurement: Measurement) -> Measurement:
         """Give the measurement with what the rows before make of it."""
-        sample = sample_of(self._setup, measurement, slot_utc.timestamp())
+        sample = sample_of(self._calibrated, measurement, slot_utc.timestamp())
         if sample is None:
             return measurement
         reasons, self.so_far = self.so_far.judge(sample, self._limits)
         return with_reasons(measurement, reasons)
 
 
-def in_sequence(
+def judge_in_history(
     store: Store,
     calibration: ActiveCalibration | None,
     limits: QualityLimits,
@@ -46,7 +46,7 @@ def in_sequence(
     if calibration is None or calibration.id is None or measurement.corrected is None:
         return measurement
     so_far = stored_continuity(store, calibration, slot_utc)
-    return Sequence(calibration, limits, so_far).judge(slot_utc, measurement)
+    return RowHistory(calibration, limits, so_far).judge(slot_utc, measurement)
 
 
 def stored_continuity(
@@ -55,10 +55,10 @@ def stored_continuity(
     """Give what the database knows of the rows before a slot. Raises StoreError."""
     if calibration.id is None:
         return Continuity()
-    setup = calibration.calibration.setup
+    calibrated = calibration.calibration.calibrated
 
     def sample(row: MeasurementRecord) -> Sample | None:
-        return sample_of(setup, row.measurement, row.slot_utc.timestamp())
+        return sample_of(calibrated, row.measurement, row.slot_utc.timestamp())
 
     believed = store.rows_before(slot_utc, calibration.id, BELIEVED, WINDOW)
     history = tuple(known for known in map(sample, believed) if known is not None)

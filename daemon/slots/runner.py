@@ -11,11 +11,11 @@ import structlog
 
 from core.results import Reason
 from daemon.clock.downtime import absence_text, read_absence
-from daemon.control.camera_lease import Pause
+from daemon.control.camera_lease import CameraLease
 from daemon.control.reporting import Reporter
 from daemon.errors import DatabaseDamagedError, StoreError
 from daemon.schedule import MissedSlots, Schedule
-from daemon.slots.pipeline import Missed, Pipeline, record_late, run_slot
+from daemon.slots.pipeline import Missed, SlotContext, record_late, run_slot
 from daemon.slots.recovery import mark_finished
 from daemon.slots.supervision import INTERNAL, Circuit
 from daemon.slots.time_correction import Redated, put_right, split_at, undated_archive
@@ -40,21 +40,21 @@ class SlotRunner:
 
     def __init__(
         self,
-        line: Pipeline,
+        context: SlotContext,
         schedule: Schedule,
         source: FramePairSource,
         stop: threading.Event,
         last_utc: datetime | None,
         reporter: Reporter,
-        pause: Pause | None = None,
+        pause: CameraLease | None = None,
         circuit: Circuit | None = None,
     ) -> None:
-        self._line = line
+        self._context = context
         self._schedule = schedule
         self._source = source
         self._stop = stop
         self._reporter = reporter
-        self._pause = pause or Pause(source.close)
+        self._lease = pause or CameraLease(source.close)
         self._circuit = circuit or Circuit()
         self._last = last_utc
         """The last slot that is accounted for, or owed."""
@@ -64,9 +64,9 @@ class SlotRunner:
         """What was wrong with the wall clock since the last slot."""
         self._failing: GapCause | None = None
         """Why the slot before had no row."""
-        self._absence = read_absence(line.store)
+        self._absence = read_absence(context.store)
         """Why there was no daemon before this boot, and whether its gap is recorded."""
-        self._apart: Pipeline | None = None
+        self._apart: SlotContext | None = None
         """What pairs pass through while the clock is before the last slot."""
         self._begun_s = -float(schedule.period_s)
         """Monotonic time at which the last slot began."""
@@ -86,13 +86,13 @@ class SlotRunner:
             slot = self._next_slot()
             self._settle_debts()
             far_s = (slot - self._seen[0]).total_seconds()
-            if not self._line.clock.wait_until(slot, self._stop, far_s):
+            if not self._context.clock.wait_until(slot, self._stop, far_s):
                 break
             self._watch_clock()
             now_utc = self._read_clock()
             if now_utc < slot or self._schedule.is_too_late(slot, now_utc):
                 continue  # the clock was stepped, back or forth
-            self._begun_s = self._line.clock.monotonic_s()
+            self._begun_s = self._context.clock.monotonic_s()
             if self._is_behind(now_utc):
                 self._run_undated(slot)
             else:
@@ -105,8 +105,8 @@ class SlotRunner:
 
     def _require_sound(self) -> None:
         """End the daemon over a damaged database: only a start can set it aside."""
-        if self._line.store.damage is not None:
-            raise self._line.store.damage
+        if self._context.store.damage is not None:
+            raise self._context.store.damage
 
     def _next_slot(self) -> datetime:
         """Choose the next slot; those that have gone by unused become a gap."""
@@ -114,7 +114,7 @@ class SlotRunner:
         now_utc = self._read_clock()
         if self._is_behind(now_utc):
             # Half a period from the pair before, or both would be nearest to one true slot.
-            passed_s = self._line.clock.monotonic_s() - self._begun_s
+            passed_s = self._context.clock.monotonic_s() - self._begun_s
             rest_s = max(self._schedule.period_s / 2 - passed_s, 0.0)
             return self._schedule.next_slot(now_utc + timedelta(seconds=rest_s), self._last_undated)
         slot = self._schedule.next_slot(now_utc, self._last)
@@ -128,16 +128,16 @@ class SlotRunner:
 
     def _tend_disk(self, slot: datetime) -> None:
         """Make room between slots, as long as that delays none."""
-        now_utc = self._line.clock.now_utc()
+        now_utc = self._context.clock.now_utc()
         if self._is_behind(now_utc):
             return
         next_utc = self._schedule.next_slot(now_utc, self._last)
-        self._line.disk.tend(slot, (next_utc - now_utc).total_seconds())
+        self._context.disk.tend(slot, (next_utc - now_utc).total_seconds())
 
     def _owe_to_clock(self, missed: MissedSlots) -> None:
         """The clock was wrong since this boot; what was missed before it has a cause of its own."""
-        line = self._line
-        booted_utc = line.clock.now_utc() - timedelta(seconds=line.machine.uptime_s())
+        context = self._context
+        booted_utc = context.clock.now_utc() - timedelta(seconds=context.machine.uptime_s())
         absence, trouble = self._absence, self._clock_trouble or "the clock was wrong"
         if absence is None or not absence.is_open:
             self._owe(missed, GapCause.CLOCK_WRONG, trouble)
@@ -147,9 +147,9 @@ class SlotRunner:
             self._owe(part, cause, trouble if is_clock else detail)
 
     def _run(self, slot: datetime) -> None:
-        with self._pause.slot(slot) as reason:
+        with self._lease.slot(slot) as reason:
             if reason is None:
-                outcome = run_slot(self._line, slot, self._source)
+                outcome = run_slot(self._context, slot, self._source)
             else:
                 outcome = Missed(slot, GapCause.CALIBRATION, reason)
         self._clock_trouble = ""
@@ -167,10 +167,10 @@ class SlotRunner:
         The record ends with the last slot all the same: neither a gap nor a mark comes of it.
         """
         if self._apart is None:
-            name = f"{self._line.machine.boot_id[:8]}-{self._line.machine.uptime_s():.0f}"
-            archive = undated_archive(self._line, name)
-            self._apart = replace(self._line, archive=archive, undated=True)
-        with self._pause.slot(slot) as reason:
+            name = f"{self._context.machine.boot_id[:8]}-{self._context.machine.uptime_s():.0f}"
+            archive = undated_archive(self._context, name)
+            self._apart = replace(self._context, archive=archive, undated=True)
+        with self._lease.slot(slot) as reason:
             if reason is None:
                 outcome = run_slot(self._apart, slot, self._source)
             else:
@@ -211,14 +211,14 @@ class SlotRunner:
             self._owed.popleft()
 
     def _settle(self, owed: _Owed) -> None:
-        line, missed = self._line, owed.missed
+        context, missed = self._context, owed.missed
         until = missed.last_utc + timedelta(seconds=1)
-        for slot in line.archive.orphans(
-            line.store.measured_slots(missed.first_utc, until), missed.first_utc
+        for slot in context.archive.orphans(
+            context.store.measured_slots(missed.first_utc, until), missed.first_utc
         ):
             if slot < until:
-                record_late(line, slot)
-        line.store.record_gap(
+                record_late(context, slot)
+        context.store.record_gap(
             missed.first_utc,
             missed.last_utc,
             owed.cause,
@@ -231,10 +231,10 @@ class SlotRunner:
         if self._owed:
             return
         try:
-            mark_finished(self._line.store, slot)
+            mark_finished(self._context.store, slot)
             if self._absence is not None and self._absence.is_open:
                 self._absence = replace(self._absence, is_open=False)
-                self._line.store.set_mark(Mark.ABSENCE, absence_text(self._absence))
+                self._context.store.set_mark(Mark.ABSENCE, absence_text(self._absence))
             if cause != self._failing:
                 self._note_change(slot, cause)
         except StoreError as error:
@@ -243,11 +243,13 @@ class SlotRunner:
     def _note_change(self, slot: datetime, cause: GapCause | None) -> None:
         """Enter in the history when slots begin to fail, for which cause, and when that ends."""
         kind = cause.value if cause else "slots_again"
-        self._line.store.add_event(self._line.clock.now_utc(), kind, f"slot {slot_text(slot)}")
+        self._context.store.add_event(
+            self._context.clock.now_utc(), kind, f"slot {slot_text(slot)}"
+        )
         self._failing = cause
 
     def _look_at_clocks(self) -> tuple[datetime, float]:
-        return self._line.clock.now_utc(), self._line.clock.monotonic_s()
+        return self._context.clock.now_utc(), self._context.clock.monotonic_s()
 
     def _is_behind(self, now_utc: datetime) -> bool:
         return self._last is not None and self._schedule.is_behind(now_utc, self._last)
@@ -257,7 +259,7 @@ class SlotRunner:
         utc = self._read_clock()
         if self._is_behind(utc) and not self._clock_trouble:
             self._note_clock(f"the clock said {utc:%Y-%m-%dT%H:%M:%SZ}, before the last slot")
-        is_right = self._line.machine.clock_synchronised()
+        is_right = self._context.machine.clock_synchronised()
         if is_right and not self._was_right:
             self._put_right()
         self._was_right = is_right
@@ -276,9 +278,9 @@ class SlotRunner:
     def _put_right(self) -> None:
         """Date what this boot took while the clock was wrong: it is right now."""
         try:
-            if put_right(self._line, self._schedule) == Redated():
+            if put_right(self._context, self._schedule) == Redated():
                 return
-            accounted = self._line.store.accounted()
+            accounted = self._context.store.accounted()
         except StoreError as error:
             _log.error("times_not_put_right", error=str(error))
             return

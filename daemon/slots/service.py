@@ -13,10 +13,10 @@ import structlog
 from daemon.burst import take_burst
 from daemon.clock.machine import simulated_machine, this_machine
 from daemon.config.reading import Installation, load_config
-from daemon.control.camera_lease import Pause
-from daemon.control.control_socket import Offers, control_socket
+from daemon.control.camera_lease import CameraLease
+from daemon.control.control_socket import CommandHandlers, control_socket
 from daemon.control.reporting import Reporter
-from daemon.control.requests import Orders
+from daemon.control.requests import ControlRequests
 from daemon.devices import open_clock, open_pair_source, require_backend
 from daemon.errors import ConfigError, StoreError, WorkFailedError
 from daemon.log import configure_log
@@ -24,7 +24,7 @@ from daemon.retention.guard import DiskGuard
 from daemon.schedule import Schedule
 from daemon.slots.exposure import last_known, loop_of
 from daemon.slots.measuring import active_calibration
-from daemon.slots.pipeline import Pipeline
+from daemon.slots.pipeline import SlotContext
 from daemon.slots.recovery import close_gap, mark_stop, recover
 from daemon.slots.runner import SlotRunner
 from daemon.slots.snapshot import look_fields, measure_look, room_for_look
@@ -52,7 +52,7 @@ class Station:
     """All that a config makes; a reload replaces it as a whole."""
 
     installation: Installation
-    line: Pipeline
+    context: SlotContext
     schedule: Schedule
     source: FramePairSource
 
@@ -64,13 +64,13 @@ class Service:
         self,
         installation: Installation,
         store: Store,
-        orders: Orders[Station],
+        orders: ControlRequests[Station],
         reporter: Reporter,
     ) -> None:
         self._store = store
         self._orders = orders
         self._reporter = reporter
-        self._pause = Pause(changed=reporter.paused)
+        self._lease = CameraLease(changed=reporter.paused)
         accounted = store.accounted()
         self._clock = open_clock(installation.config, accounted[1] if accounted else None)
         self._station = self._build(installation)
@@ -82,13 +82,13 @@ class Service:
         with ExitStack() as opened:
             opened.callback(self._close_cameras)
             self._reporter.recovering()
-            self._station.line.disk.make_room(STEPS_AT_START)
-            last_utc = recover(self._station.line, self._station.schedule)
+            self._station.context.disk.make_room(STEPS_AT_START)
+            last_utc = recover(self._station.context, self._station.schedule)
             store.add_event(clock.now_utc(), "started", f"version {VERSION}")
             name = self._station.installation.config.name
             _log.info("started", site=name, version=VERSION, state=str(state))
-            offers = Offers(capture=self._look, reload=self._orders.reload)
-            opened.enter_context(control_socket(state, self._pause, offers))
+            offers = CommandHandlers(capture=self._look, reload=self._orders.reload)
+            opened.enter_context(control_socket(state, self._lease, offers))
             opened.callback(begin_to_close)
             self._orders.accept_reloads(self._reread)
             following: Station | None = self._station
@@ -109,7 +109,7 @@ class Service:
     def _build(self, installation: Installation) -> Station:
         """Make all of it; cameras are opened later. Raises ConfigError, DriverError."""
         config, archive = installation.config, FrameArchive(installation.state_directory)
-        line = Pipeline(
+        context = SlotContext(
             config.site(),
             config.config_hash(),
             self._store,
@@ -122,22 +122,22 @@ class Service:
             late_row_done=self._reporter.late_row_done,
         )
         source = open_pair_source(config, self._clock)
-        return Station(installation, line, config.schedule.schedule(), source)
+        return Station(installation, context, config.schedule.schedule(), source)
 
     def _run_station(self, last_utc: datetime | None, max_slots: int | None) -> int:
         station = self._station
-        line, schedule, source = station.line, station.schedule, station.source
-        self._pause.use(source.close)
-        burst_s = line.burst.limit_s if line.burst.count > 1 else 0.0
+        context, schedule, source = station.context, station.schedule, station.source
+        self._lease.use(source.close)
+        burst_s = context.burst.limit_s if context.burst.count > 1 else 0.0
         self._reporter.running(schedule.period_s, burst_s)
-        if line.exposure is not None:
-            line.exposure.begin(source, last_known(self._store))
+        if context.exposure is not None:
+            context.exposure.begin(source, last_known(self._store))
         prepare_cameras(source)
         since = self._clock.now_utc() - DAY
         circuit = Circuit(ended_before=len(self._store.events(since, kind=PROCESS_SPENT)))
         runner = SlotRunner(
-            *(line, schedule, source, self._orders.wake, last_utc, self._reporter),
-            *(self._pause, circuit),
+            *(context, schedule, source, self._orders.wake, last_utc, self._reporter),
+            *(self._lease, circuit),
         )
         try:
             return runner.run(max_slots)
@@ -161,8 +161,8 @@ class Service:
         Raises ConfigError, DriverError, WorkFailedError; the station that runs stays as it is.
         """
         now = self._station.installation
-        if self._pause.reason is not None:
-            msg = f"paused: {self._pause.reason}; try again later"
+        if self._lease.reason is not None:
+            msg = f"paused: {self._lease.reason}; try again later"
             raise WorkFailedError(msg)
         config = load_config(now.config.path)
         require_backend(config)
@@ -178,13 +178,13 @@ class Service:
     def _take_over(self, station: Station) -> datetime | None:
         """Go on with another station; what its start costs in slots is a gap that says so."""
         config = station.installation.config
-        with self._pause.slot(self._clock.now_utc()):  # a look ends first
+        with self._lease.slot(self._clock.now_utc()):  # a look ends first
             self._close_cameras()
             self._station = station
         configure_log(config.log.format, config.log.level)
         self._store.add_event(self._clock.now_utc(), "reloaded", config.config_hash())
         _log.info("reloaded", site=config.name, config_hash=config.config_hash())
-        return close_gap(station.line, station.schedule, GapCause.STOPPED, RELOADED)
+        return close_gap(station.context, station.schedule, GapCause.STOPPED, RELOADED)
 
     def _look(self) -> dict[str, Any]:
         """Take and measure a slot's pairs off the schedule. Raises DriverError, StoreError."""
@@ -192,15 +192,15 @@ class Service:
         def has_room(ended_utc: datetime | None) -> bool:
             return room_for_look(self._station.schedule, self._clock.now_utc(), ended_utc)
 
-        with self._pause.between_slots(has_room, LOOK_PATIENCE_S) as refusal:
+        with self._lease.between_slots(has_room, LOOK_PATIENCE_S) as refusal:
             if refusal is not None:
                 msg = f"{refusal}; try again later"
                 raise WorkFailedError(msg)
-            line, source = self._station.line, self._station.source
+            context, source = self._station.context, self._station.source
             slot_utc = self._clock.now_utc().replace(microsecond=0)
-            shots = take_burst(source, self._clock, slot_utc, line.burst)
+            shots = take_burst(source, self._clock, slot_utc, context.burst)
         calibration = active_calibration(self._store)
-        measurement = measure_look(shots, slot_utc, line.site, calibration, self._store)
+        measurement = measure_look(shots, slot_utc, context.site, calibration, self._store)
         return look_fields(slot_utc, measurement, shots)
 
 

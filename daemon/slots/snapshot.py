@@ -12,7 +12,7 @@ from daemon.burst import Shot
 from daemon.commands.output import plain, result_fields
 from daemon.schedule import Schedule
 from daemon.slots.measuring import ActiveCalibration, image_pair, measure
-from daemon.slots.row_history import in_sequence
+from daemon.slots.row_history import judge_in_history
 from daemon.store.database import Store
 from drivers.protocols import CapturedFrame, CapturedPair
 
@@ -47,7 +47,7 @@ def measure_look(
     measurement = measure((image_pair(shot.pair) for shot in shots), site, calibration)
     if store is None:
         return measurement
-    return in_sequence(store, calibration, site.quality, slot_utc, measurement)
+    return judge_in_history(store, calibration, site.quality, slot_utc, measurement)
 
 
 def look_fields(

@@ -17,7 +17,7 @@ import structlog
 
 from daemon.clock.downtime import Absence, read_absence
 from daemon.schedule import SECOND, MissedSlots, Schedule
-from daemon.slots.pipeline import Pipeline
+from daemon.slots.pipeline import SlotContext
 from daemon.store.database import Store
 from daemon.store.frames.archive import FrameArchive, StoredPair
 from daemon.store.frames.moves import clear_pairs, link_pairs, remove_if_empty
@@ -73,18 +73,18 @@ class Books:
         return link_pairs(source, from_slot_utc, self.archive, slot_utc, true_utc)
 
 
-def undated_archive(line: Pipeline, name: str) -> FrameArchive:
+def undated_archive(context: SlotContext, name: str) -> FrameArchive:
     """Where the frames of one stretch with a wrong clock are kept."""
-    return FrameArchive(line.archive.state / UNDATED / name)
+    return FrameArchive(context.archive.state / UNDATED / name)
 
 
-def since_boot(line: Pipeline) -> TrueTime:
+def since_boot(context: SlotContext) -> TrueTime:
     """The true time of this boot's captures, as long as the clock is right now."""
-    booted_utc = line.clock.now_utc() - timedelta(seconds=line.machine.uptime_s())
+    booted_utc = context.clock.now_utc() - timedelta(seconds=context.machine.uptime_s())
     return lambda record: booted_utc + timedelta(seconds=record.uptime_s or 0.0)
 
 
-def put_right(line: Pipeline, schedule: Schedule) -> Redated:
+def put_right(context: SlotContext, schedule: Schedule) -> Redated:
     """Date what this boot took under a wrong clock. The clock must be right now.
 
     Undated pairs get their slots. Rows that were taken while nothing disciplined the clock move,
@@ -92,29 +92,29 @@ def put_right(line: Pipeline, schedule: Schedule) -> Redated:
     before what another boot, or a disciplined clock, has recorded is not right, whoever vouches
     for it. Raises StoreError.
     """
-    true_utc, uptime_s = since_boot(line), line.machine.uptime_s()
+    true_utc, uptime_s = since_boot(context), context.machine.uptime_s()
 
     def is_off(record: MeasurementRecord) -> bool:
         drift_s = 1e-6 * CRYSTAL_PPM * (uptime_s - (record.uptime_s or 0.0))
         off_s = abs((true_utc(record) - record.slot_utc).total_seconds())
         return off_s > schedule.max_late_s + drift_s
 
-    boot_id = line.machine.boot_id
-    known_utc = line.store.last_slot_but(boot_id)
-    if known_utc is not None and schedule.is_behind(line.clock.now_utc(), known_utc):
+    boot_id = context.machine.boot_id
+    known_utc = context.store.last_slot_but(boot_id)
+    if known_utc is not None and schedule.is_behind(context.clock.now_utc(), known_utc):
         _log.error("times_not_put_right", error=f"the clock is before {slot_text(known_utc)}")
         return Redated()
-    rows = [row for row in line.store.unsynchronised_rows(boot_id) if is_off(row)]
-    undated = line.store.undated(boot_id)
+    rows = [row for row in context.store.unsynchronised_rows(boot_id) if is_off(row)]
+    undated = context.store.undated(boot_id)
     if not rows and not undated:
         return Redated()
-    books = Books(line.store, line.archive.state, schedule)
+    books = Books(context.store, context.archive.state, schedule)
     done = redate(books, rows, undated, true_utc)
-    now_utc = line.clock.now_utc()
-    booted_utc = now_utc - timedelta(seconds=line.machine.uptime_s())
+    now_utc = context.clock.now_utc()
+    booted_utc = now_utc - timedelta(seconds=context.machine.uptime_s())
     account_for_moved(books, rows, now_utc, booted_utc)
     detail = f"{done.dated} undated pairs dated, {done.moved} rows moved, {done.left} left"
-    line.store.add_event(line.clock.now_utc(), "redated", detail)
+    context.store.add_event(context.clock.now_utc(), "redated", detail)
     _log.warning("redated", dated=done.dated, moved=done.moved, left=done.left)
     return done
 
@@ -151,22 +151,22 @@ def redate(
     return Redated(results.count(True), moved, len(blocked) + results.count(False))
 
 
-def mend_undated(line: Pipeline) -> None:
+def mend_undated(context: SlotContext) -> None:
     """After a crash: bring the archives of undated pairs in order. Raises StoreError."""
-    for directory in sorted((line.archive.state / UNDATED).glob("*/")):
-        FrameArchive(directory).mend()
+    for directory in sorted((context.archive.state / UNDATED).glob("*/")):
+        FrameArchive(directory).repair()
 
 
-def finish_moves(line: Pipeline, since: datetime) -> set[datetime]:
+def finish_moves(context: SlotContext, since: datetime) -> set[datetime]:
     """Clear the places of frames whose row has moved, where a cut kept that from being done.
 
     Gives the slots, from `since` on, whose frames belong to a row elsewhere. Raises StoreError.
     """
-    moved = line.store.moved_from(since)
-    left = moved - line.store.measured_slots(since)
-    for slot_utc in left.intersection(line.archive.stored_slots(since)):
-        clear_pairs(line.archive, slot_utc)
-    moving = line.store.get_mark(Mark.MOVING_TO_UTC)
+    moved = context.store.moved_from(since)
+    left = moved - context.store.measured_slots(since)
+    for slot_utc in left.intersection(context.archive.stored_slots(since)):
+        clear_pairs(context.archive, slot_utc)
+    moving = context.store.get_mark(Mark.MOVING_TO_UTC)
     return left | ({datetime.fromisoformat(moving)} if moving else set())
 
 
@@ -197,7 +197,7 @@ def account_for_moved(
         parts = list(split_at(schedule, missed, booted_utc, absence))
     for part, cause, detail in parts:
         if cause is not GapCause.CLOCK_WRONG:
-            store.blame(part.first_utc, part.last_utc, GapCause.CLOCK_WRONG, cause, detail)
+            store.change_cause(part.first_utc, part.last_utc, GapCause.CLOCK_WRONG, cause, detail)
         store.record_gap(part.first_utc, part.last_utc, cause, detail, period_s=schedule.period_s)
 
 

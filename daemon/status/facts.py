@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from core.quality.residual_ratio import WINDOW, lasting_misfit, misfit
+from core.quality.residual_ratio import WINDOW, lasting_residual_ratio, residual_ratio
 from daemon.clock.machine import read_boot_id, uptime_s
 from daemon.clock.time_sync import clock_is_synchronised
 from daemon.config.reading import Config
@@ -85,7 +85,7 @@ class Facts:
     last_good_utc: datetime | None
     """Within 30 days before the last row."""
     calibration: ActiveCalibrationSummary | None
-    misfit: float | None
+    residual_ratio: float | None
     """How much worse the corners fit than at calibration, over the last rows; None of too few."""
     slipped_utc: datetime | None
     """The last row of a board that has slipped and is not back."""
@@ -109,13 +109,13 @@ class Facts:
     """Pairs taken under a wrong clock that wait for their slots."""
 
 
-def look(config: Config, state: Path, now_utc: datetime) -> Facts:
+def collect_facts(config: Config, state: Path, now_utc: datetime) -> Facts:
     """Collect the facts of a site as of a time. Raises StoreError, OSError."""
     simulated = has_stepped_clock(config)
     with open_overview(state) as overview:
         accounted, last = overview.accounted(), overview.last_row()
         calibration = overview.calibration()
-        misfit, slipped_utc = _continuity(overview, last, calibration)
+        residual_ratio, slipped_utc = _continuity(overview, last, calibration)
         note = read_note(state)
         return Facts(
             site=config.name,
@@ -125,7 +125,7 @@ def look(config: Config, state: Path, now_utc: datetime) -> Facts:
             last=last,
             last_good_utc=overview.last_good_slot(last.slot_utc - MONTH) if last else None,
             calibration=calibration,
-            misfit=misfit,
+            residual_ratio=residual_ratio,
             slipped_utc=slipped_utc,
             config_hash=config.config_hash(),
             coverage_24h=_coverage(config, overview, accounted, now_utc, DAY),
@@ -171,10 +171,11 @@ def _continuity(
     levels = calibration.sub_rms_px, calibration.sub_contrast_dn
     if levels[0] is None or levels[1] is None:
         return None, slipped[-1].slot_utc if slipped else None
-    misfits = [
-        misfit(levels[0], levels[1], fit.sub_residual_px, fit.sub_contrast_dn) for fit in believed
+    residual_ratios = [
+        residual_ratio(levels[0], levels[1], fit.sub_residual_px, fit.sub_contrast_dn)
+        for fit in believed
     ]
-    return lasting_misfit(misfits), slipped[-1].slot_utc if slipped else None
+    return lasting_residual_ratio(residual_ratios), slipped[-1].slot_utc if slipped else None
 
 
 def has_stepped_clock(config: Config) -> bool:

@@ -191,10 +191,10 @@ def _calibration(facts: Facts) -> Item:
             f"; the board has slipped, last seen so {utc_text(facts.slipped_utc)}: look at it, "
             "then calibrate again"
         )
-    elif facts.misfit is not None and facts.misfit > DRIFTING:
+    elif facts.residual_ratio is not None and facts.residual_ratio > DRIFTING:
         text += (
-            f"; drifting: the corners fit {facts.misfit:.1f} times worse than at calibration: look "
-            "at board, lens and bracket, clean the glass, calibrate again"
+            f"; drifting: the corners fit {facts.residual_ratio:.1f} times worse than at "
+            "calibration: look at board, lens and bracket, clean the glass, calibrate again"
         )
     elif not record.passed:
         text += f"; accepted although it did not pass: {record.verdict}"

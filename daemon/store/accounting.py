@@ -18,24 +18,24 @@ _STEP = 50_000
 
 
 @dataclass(frozen=True, slots=True)
-class Fate:
+class SlotAudit:
     """What is wrong with the slots of a short stretch."""
 
     slots: range
     """Unix seconds: the stretch."""
-    holes: tuple[range, ...]
+    missing_slots: tuple[range, ...]
     """Slots with neither row nor gap."""
     doubled: tuple[int, ...]
     """Slots with a row, or a gap, and in another gap too."""
 
 
-def fates(connection: sqlite3.Connection, slots: range) -> Iterator[Fate]:
+def audit_slots(connection: sqlite3.Connection, slots: range) -> Iterator[SlotAudit]:
     """Look at `slots` in short stretches, each by itself, in order. Raises DamagedRowError."""
     for start in range(0, len(slots), _STEP):
         yield _fate(connection, slots[start : start + _STEP])
 
 
-def _fate(connection: sqlite3.Connection, slots: range) -> Fate:
+def _fate(connection: sqlite3.Connection, slots: range) -> SlotAudit:
     limits = (slot_text(slot_at(slots[0])), slot_text(slot_at(slots[-1])))
     with closing(connection.cursor()) as cursor:
         cursor.execute("BEGIN")
@@ -55,7 +55,7 @@ def _fate(connection: sqlite3.Connection, slots: range) -> Fate:
         missed = _shared(_run(*gap), slots)
         doubled += [slot for slot in missed if slot in known]
         known.update(missed)
-    return Fate(slots, tuple(without(slots, known)), tuple(sorted(doubled)))
+    return SlotAudit(slots, tuple(without(slots, known)), tuple(sorted(doubled)))
 
 
 def _run(start: str, end: str, period_s: int) -> range:
@@ -73,7 +73,7 @@ def _shared(missed: range, slots: range) -> range:
 
 
 @dataclass(frozen=True, slots=True)
-class Era:
+class ScheduleEpoch:
     """A schedule, and from when on it was the site's."""
 
     after_utc: datetime | None
@@ -82,11 +82,11 @@ class Era:
     offset_s: int
 
 
-def read_eras(noted: str | None) -> list[Era]:
+def read_epochs(noted: str | None) -> list[ScheduleEpoch]:
     """The schedules of a site in order, from their mark. Raises DamagedRowError."""
     try:
         return [
-            Era(datetime.fromisoformat(after) if after else None, period_s, offset_s)
+            ScheduleEpoch(datetime.fromisoformat(after) if after else None, period_s, offset_s)
             for after, period_s, offset_s in json.loads(noted or "[]")
         ]
     except (ValueError, TypeError) as error:
@@ -94,23 +94,25 @@ def read_eras(noted: str | None) -> list[Era]:
         raise DamagedRowError(msg) from error
 
 
-def eras_text(eras: list[Era]) -> str:
+def epochs_text(epochs: list[ScheduleEpoch]) -> str:
     """What the mark holds."""
     return json.dumps(
         [
-            [slot_text(era.after_utc) if era.after_utc else "", era.period_s, era.offset_s]
-            for era in eras
+            [slot_text(epoch.after_utc) if epoch.after_utc else "", epoch.period_s, epoch.offset_s]
+            for epoch in epochs
         ]
     )
 
 
-def scheduled(eras: list[Era], first_utc: datetime, last_utc: datetime) -> Iterator[range]:
+def scheduled(
+    epochs: list[ScheduleEpoch], first_utc: datetime, last_utc: datetime
+) -> Iterator[range]:
     """The slots from one moment to another, both included, by the schedule of their time."""
-    ends = [era.after_utc for era in eras[1:]]
-    for era, end_utc in zip(eras, [*ends, None], strict=True):
-        begin = unix_s(first_utc) if era.after_utc is None else unix_s(era.after_utc) + 1
+    ends = [epoch.after_utc for epoch in epochs[1:]]
+    for epoch, end_utc in zip(epochs, [*ends, None], strict=True):
+        begin = unix_s(first_utc) if epoch.after_utc is None else unix_s(epoch.after_utc) + 1
         begin = max(begin, unix_s(first_utc))
-        begin += (era.offset_s - begin) % era.period_s
+        begin += (epoch.offset_s - begin) % epoch.period_s
         end = unix_s(last_utc) if end_utc is None else min(unix_s(end_utc), unix_s(last_utc))
         if begin <= end:
-            yield range(begin, end + 1, era.period_s)
+            yield range(begin, end + 1, epoch.period_s)

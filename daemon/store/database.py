@@ -29,7 +29,7 @@ from daemon.errors import (
 )
 from daemon.store import frame_days, undated
 from daemon.store import gaps as gap_runs
-from daemon.store.accounting import fates
+from daemon.store.accounting import audit_slots
 from daemon.store.convert import (
     calibration_record,
     calibration_row,
@@ -322,21 +322,21 @@ class Store:
         with self._write() as session:
             gap_runs.release_after(session, slot_utc)
 
-    def blame(
+    def change_cause(
         self, since: datetime, last: datetime, old: GapCause, new: GapCause, detail: str
     ) -> None:
         """Give the missed slots from `since` to `last` another cause than the one they have."""
         with self._write() as session:
-            gap_runs.blame(session, since, last, old, new, detail)
+            gap_runs.change_cause(session, since, last, old, new, detail)
 
-    def holes(self, slots: range) -> Iterator[range]:
+    def missing_slots(self, slots: range) -> Iterator[range]:
         """Those of `slots` (Unix seconds) with neither row nor gap, as runs, in order.
 
         Each short stretch is looked at by itself, so that no writer waits and no log grows.
         """
         with said_plainly(self.path), closing(connect_readonly(self.path)) as connection:
-            for fate in fates(connection, slots):
-                yield from fate.holes
+            for fate in audit_slots(connection, slots):
+                yield from fate.missing_slots
 
     # Gaps
 

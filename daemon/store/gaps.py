@@ -53,7 +53,7 @@ def release_after(session: Session, slot_utc: datetime) -> None:
         _replace(session, gap, [(kept, gap.cause, gap.detail)])
 
 
-def blame(
+def change_cause(
     session: Session, since: datetime, last: datetime, old: GapCause, new: GapCause, detail: str
 ) -> None:
     """Give the slots from `since` to `last` that lie in gaps of the old cause the new one."""

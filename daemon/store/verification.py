@@ -17,7 +17,7 @@ from pathlib import Path
 from core.calibration.calibrate import Calibration
 from core.errors import CoreError
 from daemon.errors import DamagedRowError
-from daemon.store.accounting import Era, fates, scheduled
+from daemon.store.accounting import ScheduleEpoch, audit_slots, scheduled
 from daemon.store.overview import Overview
 from daemon.store.runs import slot_at
 from daemon.store.salvage.damage import any_text, program_tables, wrong_rows
@@ -130,7 +130,11 @@ def _unusable(content: str) -> str | None:
 
 
 def slot_findings(
-    path: Path, eras: Sequence[Era], since_utc: datetime | None, counted: Counted, tell: Tell
+    path: Path,
+    epochs: Sequence[ScheduleEpoch],
+    since_utc: datetime | None,
+    counted: Counted,
+    tell: Tell,
 ) -> Iterator[Finding]:
     """Look whether each slot since the first has exactly one row or gap. Raises StoreError."""
     with said_plainly(path), closing(connect_readonly(path)) as connection:
@@ -138,14 +142,14 @@ def slot_findings(
         if accounted is None:
             return
         first_utc = max(accounted[0], since_utc) if since_utc else accounted[0]
-        stretches = list(scheduled(list(eras), first_utc, accounted[1]))
+        stretches = list(scheduled(list(epochs), first_utc, accounted[1]))
         total = sum(map(len, stretches))
         for slots in stretches:
             try:
-                for fate in fates(connection, slots):
+                for fate in audit_slots(connection, slots):
                     counted.slots += len(fate.slots)
                     tell(counted.slots, total)
-                    for hole in fate.holes:
+                    for hole in fate.missing_slots:
                         yield Finding("slots", _span(hole), "neither row nor gap", REPORT)
                     for slot in fate.doubled:
                         text = "accounted for twice: a row and a gap, or two gaps"

@@ -17,7 +17,7 @@ from core.discs.disc_finder import Discs
 from core.geometry.lens import Lens
 from core.geometry.pose import Pose
 from core.lens.intrinsics import lens_prior, nominal_lens
-from core.rig.calibrated_site import Levels, Setup
+from core.rig.calibrated_site import Baseline, CalibratedSite
 from core.rig.rigid import MainView, Rig
 from core.site import CheckerboardTarget
 from tests.core.scenes import small_site
@@ -96,7 +96,7 @@ def held_pose(rng: np.random.Generator) -> Pose:
     return Pose(R, middle - R @ [20.0, 16.0, 0.0])
 
 
-def calibrated(truth: Truth, rng: np.random.Generator) -> tuple[Setup, Adjusted]:
+def calibrated(truth: Truth, rng: np.random.Generator) -> tuple[CalibratedSite, Adjusted]:
     """What the adjustment makes of six lens views, the reference and six head positions."""
     motions = [head_motion(*rng.uniform(-2e-3, 2e-3, 2)) for _ in range(6)]
     poses = [truth.reference, *(m.compose(truth.reference) for m in motions)]
@@ -111,7 +111,7 @@ def calibrated(truth: Truth, rng: np.random.Generator) -> tuple[Setup, Adjusted]
     main += [None] * 6
     adjusted = adjust(BOARD, views, nominal_lens(SITE.sub), poses, PRIORS, DRAWN, main)
     scale = truth.rig.scale_px_per_mm
-    setup = Setup(
+    calibrated = CalibratedSite(
         BOARD,
         adjusted.corners_mm,
         adjusted.lens,
@@ -120,9 +120,9 @@ def calibrated(truth: Truth, rng: np.random.Generator) -> tuple[Setup, Adjusted]
         np.diag([scale, -scale]),
         adjusted.rig,
         adjusted.posterior,
-        Levels(CORNER_PX, 180.0, 0.7, 180.0, 0.8, 3e-3, 1.0),
+        Baseline(CORNER_PX, 180.0, 0.7, 180.0, 0.8, 3e-3, 1.0),
     )
-    return setup, adjusted
+    return calibrated, adjusted
 
 
 def discs_of(points_px: FloatArray) -> Discs:

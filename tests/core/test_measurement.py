@@ -249,13 +249,13 @@ def test_motion_beyond_the_calibration_is_flagged(lab: Session) -> None:
 def test_the_affine_camera_is_refused_where_equation_5_fails(lab: Session, paper: Session) -> None:
     """|dz / d0 (x - x0)| beyond 1 px makes a row suspect, by the paper's method only."""
     off_axis_px = np.nanmax(
-        np.abs(paper.calibration.setup.reference_discs_px - paper.site.main.centre_px)
+        np.abs(paper.calibration.calibrated.reference_discs_px - paper.site.main.centre_px)
     )
     one_px_mm = paper.site.main_target.distance_mm / off_axis_px
 
     def reasons(session: Session, axial_mm: float) -> list[Reason]:
         motion = RigMotion(np.zeros(3), np.array([0.0, 0.0, axial_mm]), np.eye(6))
-        return judge_motion(session.calibration.setup, motion, session.site)
+        return judge_motion(session.calibration.calibrated, motion, session.site)
 
     assert Reason.AFFINE_INVALID in reasons(paper, 1.01 * one_px_mm)
     assert Reason.AFFINE_INVALID in reasons(paper, -1.01 * one_px_mm)

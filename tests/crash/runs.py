@@ -109,7 +109,7 @@ def ageing(scratch: Path) -> tuple[Tree, Promises]:
         station.store.record_gap(slots[0], last, GapCause.POWER_LOSS, period_s=PERIOD_S)
         for slot in slots:
             station.archive.store(slot, station.source.capture(slot), slot)
-            record_late(station.line, slot)
+            record_late(station.context, slot)
         mark_finished(station.store, last)
     tree = read_tree(state.parent)
     gaps = read_database(state / FILE_NAME).causes

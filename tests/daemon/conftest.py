@@ -23,7 +23,7 @@ from daemon.control.reporting import Reporter
 from daemon.retention.guard import DiskGuard
 from daemon.retention.rules import Rules
 from daemon.schedule import Schedule
-from daemon.slots.pipeline import Pipeline
+from daemon.slots.pipeline import SlotContext
 from daemon.slots.recovery import recover
 from daemon.slots.runner import SlotRunner
 from daemon.store.database import open_store
@@ -90,24 +90,26 @@ class Station:
         self.archive = FrameArchive(state)
         self.booted_s: dict[str, float] = {}
         self.synchronised: bool | None = None
-        self.line = self.pipeline("boot-1")
+        self.context = self.pipeline("boot-1")
         self.source = ToldSource(self.clock)
         self.stop = threading.Event()
 
-    def pipeline(self, boot_id: str) -> Pipeline:
+    def pipeline(self, boot_id: str) -> SlotContext:
         """What slots pass through in one run of the machine, which begins now if it is new."""
         booted_s = self.booted_s.setdefault(boot_id, self.clock.monotonic_s())
         machine = Machine(
             boot_id, lambda: self.clock.monotonic_s() - booted_s, lambda: self.synchronised
         )
         disk = DiskGuard(self.store, self.archive, self.rules, self.clock)
-        return Pipeline(SITE, "hash", self.store, self.archive, self.clock, disk, machine=machine)
+        return SlotContext(
+            SITE, "hash", self.store, self.archive, self.clock, disk, machine=machine
+        )
 
     def start(self, boot_id: str = "boot-1") -> SlotRunner:
-        self.line = self.pipeline(boot_id)
-        last = recover(self.line, self.schedule)
+        self.context = self.pipeline(boot_id)
+        last = recover(self.context, self.schedule)
         return SlotRunner(
-            self.line, self.schedule, self.source, self.stop, last, Reporter(Notifier(None))
+            self.context, self.schedule, self.source, self.stop, last, Reporter(Notifier(None))
         )
 
     def run(self, slots: int, orders: dict | None = None, boot_id: str = "boot-1") -> None:

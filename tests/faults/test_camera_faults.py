@@ -52,9 +52,9 @@ def source(station: Station, monkeypatch: pytest.MonkeyPatch):
 
 def daemon(station: Station, source: FaultySource) -> SlotRunner:
     """What a process of dcamd does once it has started."""
-    last_utc = recover(station.line, station.schedule)
+    last_utc = recover(station.context, station.schedule)
     reporter = Reporter(Notifier(None))
-    return SlotRunner(station.line, station.schedule, source, station.stop, last_utc, reporter)
+    return SlotRunner(station.context, station.schedule, source, station.stop, last_utc, reporter)
 
 
 def test_a_thousand_faults(station: Station, source: FaultySource) -> None:

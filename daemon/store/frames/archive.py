@@ -18,7 +18,15 @@ from pathlib import Path
 from core.images import GreyImage
 from daemon.durable import make_directory_durable, write_durable
 from daemon.errors import ArchiveError, DiskFullError, SlotTakenError
-from daemon.store.frames.table import EXTRA_COLUMNS, enter, find, image_names, mend, pairs, sha256
+from daemon.store.frames.table import (
+    EXTRA_COLUMNS,
+    append_row,
+    find,
+    image_names,
+    pairs,
+    repair,
+    sha256,
+)
 from daemon.store.records import EPOCH, CameraState
 from daemon.times import instant_text, slot_text
 from drivers.errors import FrameSetError
@@ -91,7 +99,7 @@ class FrameArchive:
                 raise
             # From here on it is a pair, whatever becomes of its line.
             row = FrameSetRow(slot_utc, "measure", main.name, sub.name, extra=known)
-            enter(main.parent, row)
+            append_row(main.parent, row)
         return stored
 
     def load(self, slot_utc: datetime, number: int = 1) -> ArchivedPair:
@@ -147,7 +155,7 @@ class FrameArchive:
         """Stored slots that are not among the known ones: pairs still to be measured, in order."""
         return [slot for slot in self.stored_slots(since) if slot not in known_slots]
 
-    def mend(self, since: datetime = EPOCH) -> list[datetime]:
+    def repair(self, since: datetime = EPOCH) -> list[datetime]:
         """After a crash: bring the tables of the days from `since` on in step with the images.
 
         For the one writer, before its first slot. Gives the slots whose lines were missing.
@@ -156,7 +164,7 @@ class FrameArchive:
         entered: list[datetime] = []
         with translated(self.directory):
             for day in self._days(since):
-                entered += mend(day)
+                entered += repair(day)
         return entered
 
     def days(self) -> list[date]:

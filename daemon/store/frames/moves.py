@@ -12,7 +12,7 @@ from pathlib import Path
 from daemon.durable import fsync_directory, make_directory_durable
 from daemon.errors import SlotTakenError
 from daemon.store.frames.archive import FrameArchive, StoredPair, translated
-from daemon.store.frames.table import EXTRA_COLUMNS, enter, find, image_names, strike
+from daemon.store.frames.table import EXTRA_COLUMNS, append_row, find, image_names, remove_rows
 from daemon.times import instant_text
 from drivers.frameset import BURST, FrameSetRow
 
@@ -42,7 +42,7 @@ def link_pairs(
                 extra = {name: known.get(name, "") for name in EXTRA_COLUMNS}
                 extra["captured_utc"], extra[BURST] = instant_text(captured_utc), str(number)
                 row = FrameSetRow(slot_utc, "measure", main.name, sub.name, extra=extra)
-                enter(main.parent, row)
+                append_row(main.parent, row)
     return target.place(slot_utc, numbers[0]) if numbers else None
 
 
@@ -55,7 +55,7 @@ def clear_pairs(archive: FrameArchive, slot_utc: datetime) -> None:
     with translated(day):
         numbers = archive.numbers(slot_utc)
         if day.is_dir():
-            strike(day, slot_utc)
+            remove_rows(day, slot_utc)
         for number in numbers:
             for name in image_names(slot_utc.astimezone(UTC), number):
                 (day / name).unlink(missing_ok=True)

@@ -38,7 +38,7 @@ _TAIL_BYTES = 4096
 """Many times the longest line."""
 
 
-def enter(directory: Path, row: FrameSetRow) -> None:
+def append_row(directory: Path, row: FrameSetRow) -> None:
     """Add a line durably; rows stay in time order. Raises OSError."""
     path = directory / TABLE
     line = format_row(row).encode() + b"\n"
@@ -71,7 +71,7 @@ def find(directory: Path, slot_utc: datetime, number: int = 1) -> dict[str, str]
     return None
 
 
-def mend(directory: Path) -> list[datetime]:
+def repair(directory: Path) -> list[datetime]:
     """Bring a day's table in step with its images after a crash; give the slots entered anew.
 
     Leftovers of interrupted writes go. A torn last line is cut. A table that cannot be read is
@@ -85,7 +85,7 @@ def mend(directory: Path) -> list[datetime]:
     return _rewrite(directory, [])
 
 
-def strike(directory: Path, slot_utc: datetime) -> None:
+def remove_rows(directory: Path, slot_utc: datetime) -> None:
     """Take a slot's lines out of a day's table, durably. Raises OSError."""
     rows = _readable_rows(directory)
     kept = [row for row in rows if row.slot_utc != slot_utc]

@@ -20,7 +20,7 @@ def test_small_turns_ask_for_a_roll() -> None:
     world = World(site, SimSettings(seed=3))
     views = all_views(world, 5, 0.2 * head_positions(site, 6))
     calibration, report = calibrate(views, site)
-    advice = further_motion(calibration.setup, site)
+    advice = further_motion(calibration.calibrated, site)
     assert advice is not None
     assert "rotation about z" in advice
     assert advice in report.lines
@@ -28,9 +28,9 @@ def test_small_turns_ask_for_a_roll() -> None:
 
 def test_a_sure_calibration_asks_for_nothing(field: Session) -> None:
     """Where another motion would not help, none is asked for."""
-    setup = field.calibration.setup
-    columns = setup.posterior.lens.shape[1]
-    posterior = setup.posterior.times(1e-4 * np.eye(columns))
-    sure = replace(setup, posterior=replace(posterior, own_mm2=1e-8 * posterior.own_mm2))
+    calibrated = field.calibration.calibrated
+    columns = calibrated.posterior.lens.shape[1]
+    posterior = calibrated.posterior.times(1e-4 * np.eye(columns))
+    sure = replace(calibrated, posterior=replace(posterior, own_mm2=1e-8 * posterior.own_mm2))
     assert max(error.calibration_mm for error in drift_errors(sure, field.site)) < 2e-3
     assert further_motion(sure, field.site) is None

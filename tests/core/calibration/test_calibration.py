@@ -113,33 +113,34 @@ def _shared_mm(row: Row) -> float:
 def test_rig_and_lens_are_found(name, request) -> None:
     """Angles between the cameras, scale and lens as built, within their sigmas."""
     made: Session = request.getfixturevalue(name)
-    setup, truth = made.calibration.setup, made.world.geometry
+    calibrated, truth = made.calibration.calibrated, made.world.geometry
     rig_sigma = np.array(made.report.figures["rig_sigma"])
     lens_sigma = np.array(made.report.figures["lens_sigma"])
-    assert isinstance(setup.model, Rig)
-    turn_rad = setup.model.T_CM_CS.compose(truth.T_CM_CS.inverse()).rotation_rad
+    assert isinstance(calibrated.model, Rig)
+    turn_rad = calibrated.model.T_CM_CS.compose(truth.T_CM_CS.inverse()).rotation_rad
     assert np.abs(turn_rad / rig_sigma[:3]).max() < 3.0
     assert np.degrees(rig_sigma[:3]).max() < 1.0
     # One angle is far better known than drawn: it turns the false displacement itself.
     assert np.degrees(rig_sigma[2]) < 0.5
     # The scale is measured on the target to a part in a thousand, the depth is the survey's.
     px_per_mm = truth.main.fx_px / truth.T_CM_WM.t_mm[2]
-    assert abs(np.log(setup.model.scale_px_per_mm / px_per_mm)) < 3.0 * rig_sigma[7]
+    assert abs(np.log(calibrated.model.scale_px_per_mm / px_per_mm)) < 3.0 * rig_sigma[7]
     assert rig_sigma[7] < 2.5e-3
-    assert abs(np.log(setup.model.depth_mm / truth.T_CM_WM.t_mm[2])) < 3.0 * rig_sigma[6]
+    assert abs(np.log(calibrated.model.depth_mm / truth.T_CM_WM.t_mm[2])) < 3.0 * rig_sigma[6]
     lens = np.array([truth.sub.fx_px, truth.sub.fy_px, truth.sub.cx_px, truth.sub.cy_px])
     assert (
-        np.abs((setup.lens.parameters[[0, 1, 3, 4]] - lens) / lens_sigma[[0, 1, 3, 4]]).max() < 4.0
+        np.abs((calibrated.lens.parameters[[0, 1, 3, 4]] - lens) / lens_sigma[[0, 1, 3, 4]]).max()
+        < 4.0
     )
-    assert setup.lens.parameters[0] == pytest.approx(truth.sub.fx_px, rel=2e-4)
+    assert calibrated.lens.parameters[0] == pytest.approx(truth.sub.fx_px, rel=2e-4)
 
 
 def test_the_printed_board_is_found(lab: Session) -> None:
     """Print errors of 4 um and a bow of 20 um come out to a few tenths of a um."""
     true = lab.world.geometry.board.corners_mm()[1:-1, 1:-1].reshape(-1, 3)
-    setup = lab.calibration.setup
-    nominal_um = 1e3 * _misfit_mm(setup.board.corners_mm, true)
-    found_um = 1e3 * _misfit_mm(setup.corners_mm, true)
+    calibrated = lab.calibration.calibrated
+    nominal_um = 1e3 * _departure_mm(calibrated.board.corners_mm, true)
+    found_um = 1e3 * _departure_mm(calibrated.corners_mm, true)
     assert np.sqrt((nominal_um[:, :2] ** 2).mean()) > 2.5
     assert np.abs(nominal_um[:, 2]).max() > 8.0
     assert np.sqrt((found_um[:, :2] ** 2).mean()) < 0.5
@@ -147,7 +148,7 @@ def test_the_printed_board_is_found(lab: Session) -> None:
     assert lab.report.figures["board_bow_mm"] == pytest.approx(np.ptp(true[:, 2]), abs=0.002)
 
 
-def _misfit_mm(points: FloatArray, true: FloatArray) -> FloatArray:
+def _departure_mm(points: FloatArray, true: FloatArray) -> FloatArray:
     """(n, 3) what is left after the best rigid motion and scale (no image can tell those)."""
     a, b = points - points.mean(axis=0), true - true.mean(axis=0)
     u, s, vt = np.linalg.svd(a.T @ b)
@@ -209,7 +210,7 @@ def test_a_rig_far_from_its_drawing_does_not_pass(
     lab: Session, off_deg: float, passed: bool
 ) -> None:
     """Drawn to a degree; three angles are 4 degrees off together now and then, 6 never."""
-    rig = lab.calibration.setup.model
+    rig = lab.calibration.calibrated.model
     assert isinstance(rig, Rig)
     turn = Rotation.from_rotvec(np.array([0.0, 0.0, off_deg]), degrees=True)
     drawn = (turn * Rotation.from_matrix(rig.T_CM_CS.R)).as_euler("xyz", degrees=True)
@@ -277,17 +278,17 @@ def test_order_of_the_views_does_not_matter(quick: Session) -> None:
 
 def test_skew_is_found_to_be_none(quick: Session) -> None:
     """The gamma of Eq. 10 may vary where asked for; these lenses have none."""
-    assert quick.calibration.setup.lens.parameters[2] == pytest.approx(0.0, abs=1e-6)
+    assert quick.calibration.calibrated.lens.parameters[2] == pytest.approx(0.0, abs=1e-6)
     calibration, report = calibrate(quick.views, quick.site, skew=True)
-    gamma_px = calibration.setup.lens.parameters[2]
+    gamma_px = calibration.calibrated.lens.parameters[2]
     assert 0.0 < abs(gamma_px) < 0.2
     assert abs(gamma_px) < 4.0 * report.figures["lens_sigma"][2]
 
 
 def test_the_lens_model_is_chosen_and_said(lab: Session) -> None:
-    """The simulated lens is Brown's: less foretells held-out views far worse, more no better."""
+    """The simulated lens is Brown's: less predicts held-out views far worse, more no better."""
     off_px = lab.report.figures["lens_held_out_px"]
-    assert lab.calibration.setup.lens.model is LensModel.BROWN
+    assert lab.calibration.calibrated.lens.model is LensModel.BROWN
     assert off_px["radial"] > 2.0 * off_px["brown"]
     assert off_px["rational"] == pytest.approx(off_px["brown"], rel=0.1)
     start = "distortion: brown, chosen on held-out views (radial "
@@ -301,7 +302,7 @@ def test_a_site_may_name_its_lens_model(quick: Session, model: str, near_mm: flo
     calibration, report = calibrate(quick.views, site)
     assert f"distortion: {model}, as configured" in report.lines
     read = Calibration.from_dict(json.loads(json.dumps(calibration.to_dict())))
-    assert read.setup.lens.model is LensModel(model)
+    assert read.calibrated.lens.model is LensModel(model)
     pair = quick.pair(quick.world.settings.start_utc + 100 * MINUTE)
     row, usual = measure_pair(*pair, site, read), measure_pair(*pair, site, quick.calibration)
     assert row.corrected is not None

@@ -56,11 +56,13 @@ def test_a_calibration_on_a_mean_measures_as_one_on_a_single_pair(
     quick: Session, averaged: Session
 ) -> None:
     """Nothing is left out, levels are those of the 8-bit views, and rows agree and are good."""
-    single, mean = quick.calibration.setup, averaged.calibration.setup
+    single, mean = quick.calibration.calibrated, averaged.calibration.calibrated
     assert averaged.report.figures["rejected"] == []
     assert averaged.report.passed == quick.report.passed
-    assert mean.levels.sub_contrast_dn == pytest.approx(single.levels.sub_contrast_dn, rel=0.01)
-    assert mean.levels.main_contrast_dn == pytest.approx(single.levels.main_contrast_dn, rel=0.01)
+    assert mean.baseline.sub_contrast_dn == pytest.approx(single.baseline.sub_contrast_dn, rel=0.01)
+    assert mean.baseline.main_contrast_dn == pytest.approx(
+        single.baseline.main_contrast_dn, rel=0.01
+    )
     for row, other in zip(averaged.rows(3), quick.rows(3), strict=True):
         assert row.measurement.flag is Flag.GOOD
         apart_mm = np.abs(row.measurement.corrected.mm - other.measurement.corrected.mm)

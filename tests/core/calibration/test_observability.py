@@ -12,7 +12,7 @@ from core.calibration.observability import drift_errors, drift_motions, require_
 from core.checkerboard.resection import resect
 from core.errors import NotObservableError
 from core.geometry.pose import Pose
-from core.rig.calibrated_site import Setup
+from core.rig.calibrated_site import CalibratedSite
 from core.rig.compensation import corrected_displacement
 from core.rig.posterior import Posterior
 from core.rig.propagation import expected_effects
@@ -20,55 +20,63 @@ from tests.core.sampling import SITE, Truth, calibrated, discs_of, draw, head_mo
 
 
 @pytest.fixture(scope="module")
-def known() -> tuple[Truth, Setup]:
+def known() -> tuple[Truth, CalibratedSite]:
     """A true site and its calibration."""
     rng = np.random.default_rng(4)
     truth = draw(rng)
     return truth, calibrated(truth, rng)[0]
 
 
-def _row_covariance(truth: Truth, setup: Setup, motion: Pose, seed: int = 0) -> FloatArray:
+def _row_covariance(
+    truth: Truth, calibrated: CalibratedSite, motion: Pose, seed: int = 0
+) -> FloatArray:
     rng = np.random.default_rng(seed)
     view = truth.see_board(motion.compose(truth.reference), rng)
-    board = resect(setup.lens, setup.corners_mm, view)
+    board = resect(calibrated.lens, calibrated.corners_mm, view)
     discs = discs_of(truth.see_discs(motion, np.zeros(2), rng))
-    return corrected_displacement(setup, discs, board, view)[0].covariance_mm2
+    return corrected_displacement(calibrated, discs, board, view)[0].covariance_mm2
 
 
-def test_the_expected_error_is_what_rows_then_carry(known: tuple[Truth, Setup]) -> None:
+def test_the_expected_error_is_what_rows_then_carry(known: tuple[Truth, CalibratedSite]) -> None:
     """For each direction of the drift the report's figure is the sigma of a row after it."""
-    truth, setup = known
-    for error, motion in zip(drift_errors(setup, SITE), drift_motions(SITE.quality), strict=True):
-        row = np.sqrt(np.linalg.eigvalsh(_row_covariance(truth, setup, motion)).max())
+    truth, calibrated = known
+    for error, motion in zip(
+        drift_errors(calibrated, SITE), drift_motions(SITE.quality), strict=True
+    ):
+        row = np.sqrt(np.linalg.eigvalsh(_row_covariance(truth, calibrated, motion)).max())
         assert error.sigma_mm == pytest.approx(row, rel=0.1), error.motion
         assert 0.0 < error.calibration_mm < error.sigma_mm
 
 
-def test_a_compressed_posterior_gives_the_same_sigma(known: tuple[Truth, Setup]) -> None:
+def test_a_compressed_posterior_gives_the_same_sigma(known: tuple[Truth, CalibratedSite]) -> None:
     """Stored are the few directions that rows can feel; motions never asked about feel no other."""
-    truth, setup = known
+    truth, calibrated = known
     effects = [
-        expected_effects(setup, SITE.sub, motion)[0].through(setup.posterior)
+        expected_effects(calibrated, SITE.sub, motion)[0].propagate(calibrated.posterior)
         for motion in drift_motions(SITE.quality)
     ]
-    small = setup.posterior.compressed(np.concatenate(effects))
+    small = calibrated.posterior.compressed(np.concatenate(effects))
     stored = Posterior.from_dict(small.to_dict())
-    assert stored.lens.shape[1] < setup.posterior.lens.shape[1] / 3
+    assert stored.lens.shape[1] < calibrated.posterior.lens.shape[1] / 3
     rng = np.random.default_rng(5)
     for _ in range(4):
         motion = Pose.from_vectors(rng.uniform(-1e-3, 1e-3, 3), rng.uniform(-1.5, 1.5, 3))
-        whole = _row_covariance(truth, setup, motion)
-        again = _row_covariance(truth, replace(setup, posterior=stored), motion)
+        whole = _row_covariance(truth, calibrated, motion)
+        again = _row_covariance(truth, replace(calibrated, posterior=stored), motion)
         assert np.diag(again) == pytest.approx(np.diag(whole), rel=0.01)
 
 
-def test_what_is_known_for_sure_no_longer_counts(known: tuple[Truth, Setup]) -> None:
+def test_what_is_known_for_sure_no_longer_counts(known: tuple[Truth, CalibratedSite]) -> None:
     """Knowing lens, rig or board makes no direction of the drift worse, and some better."""
-    _, setup = known
-    whole = setup.posterior
-    before = np.array([e.calibration_mm for e in drift_errors(setup, SITE)])
-    for left in (whole.knowing(whole.lens), whole.knowing(whole.model), whole.knowing_board()):
-        after = [e.calibration_mm for e in drift_errors(replace(setup, posterior=left), SITE)]
+    _, calibrated = known
+    whole = calibrated.posterior
+    before = np.array([e.calibration_mm for e in drift_errors(calibrated, SITE)])
+    for left in (
+        whole.conditioned_on(whole.lens),
+        whole.conditioned_on(whole.model),
+        whole.conditioned_on_board(),
+    ):
+        after = [e.calibration_mm for e in drift_errors(replace(calibrated, posterior=left), SITE)]
         assert np.all(after <= 1.001 * before)
         assert np.min(after / before) < 0.99
 

@@ -9,7 +9,7 @@ import pytest
 
 from core.calibration.calibrate import calibrate
 from core.calibration.reference_index import place_reference
-from core.calibration.views import Views, look, relocate
+from core.calibration.views import Views, find_targets, relocate
 from core.checkerboard.board import Board
 from core.site import CheckerboardTarget
 from drivers.sim.settings import SimSettings
@@ -33,8 +33,8 @@ def test_a_board_higher_than_the_image_and_off_its_middle_calibrates() -> None:
 @pytest.fixture(scope="module")
 def seen(lab: Session) -> tuple[Views, Board]:
     board = Board.nominal(lab.site.sub_target)
-    views, _ = look(lab.views, lab.site, board)
-    return relocate(views, lab.calibration.setup.lens, board), board
+    views, _ = find_targets(lab.views, lab.site, board)
+    return relocate(views, lab.calibration.calibrated.lens, board), board
 
 
 def _named(views: Views, board: Board, right: int, down: int) -> tuple[Views, Views]:
@@ -48,7 +48,7 @@ def _named(views: Views, board: Board, right: int, down: int) -> tuple[Views, Vi
         replace(views, reference=replace(views.reference, board=replace(located, view=v)))
         for v in (part, away)
     )
-    doubtful = replace(wrongly.reference.board, certain=False)
+    doubtful = replace(wrongly.reference.board, unambiguous=False)
     return rightly, replace(wrongly, reference=replace(wrongly.reference, board=doubtful))
 
 
@@ -59,8 +59,8 @@ def test_the_print_tells_which_part_of_the_board_it_is(
     """A period off, the corners fit the nominal board as well, and the lens views contradict."""
     views, board = seen
     rightly, wrongly = _named(views, board, right, down)
-    placed = place_reference(wrongly, lab.calibration.setup.lens, lab.site, board)
-    assert placed.reference.board.certain
+    placed = place_reference(wrongly, lab.calibration.calibrated.lens, lab.site, board)
+    assert placed.reference.board.unambiguous
     assert np.array_equal(placed.reference.board.view.index, rightly.reference.board.view.index)
 
 
@@ -70,4 +70,4 @@ def test_without_lens_views_that_show_the_print_nothing_is_claimed(
     views, board = seen
     _, wrongly = _named(views, board, 0, 2)
     few = replace(wrongly, lens=wrongly.lens[:2])
-    assert place_reference(few, lab.calibration.setup.lens, lab.site, board) is few
+    assert place_reference(few, lab.calibration.calibrated.lens, lab.site, board) is few

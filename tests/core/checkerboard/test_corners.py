@@ -54,7 +54,7 @@ def test_found_tilted_and_rolled(turn_deg) -> None:
     scene = BoardScene(turn_deg=turn_deg, middle_mm=FAR)
     seen = detect_board(scene.image(), scene.board)
     _assert_right(scene, seen)
-    assert seen.certain
+    assert seen.unambiguous
     assert seen.visible == len(seen.view.index)
 
 
@@ -65,7 +65,7 @@ def test_found_however_the_board_is_turned(quarter_deg) -> None:
     seen = detect_board(scene.image(), scene.board)
     miss = seen.view.points_px - scene.corners_px[seen.view.index]
     assert np.abs(miss).max() < 0.15
-    assert seen.certain
+    assert seen.unambiguous
     assert len(seen.view.index) > 0.9 * len(scene.corners_px)
 
 
@@ -76,7 +76,7 @@ def test_partly_outside_the_image_is_named_by_its_border(moved_mm) -> None:
     seen = detect_board(scene.image(), scene.board)
     assert len(seen.view.index) < 0.7 * len(scene.corners_px)
     _assert_right(scene, seen)
-    assert seen.certain
+    assert seen.unambiguous
 
 
 @pytest.mark.parametrize("moved_mm", [-1.3, 1.3])
@@ -86,7 +86,7 @@ def test_parity_tells_which_column_is_missing(moved_mm) -> None:
     seen = detect_board(scene.image(), scene.board)
     assert len({*(seen.view.index % 24)}) == 23
     _assert_right(scene, seen)
-    assert seen.certain
+    assert seen.unambiguous
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_found_in_uneven_and_weak_light(look, light) -> None:
     scene = BoardScene(turn_deg=(5.0, 3.0, -2.0), look=look, light=light)
     seen = detect_board(scene.image(), scene.board)
     _assert_right(scene, seen, within_px=0.3)
-    assert seen.certain
+    assert seen.unambiguous
 
 
 def test_an_overexposed_board_is_still_right() -> None:
@@ -139,7 +139,7 @@ def test_an_insect_hides_only_what_is_under_it(length_px) -> None:
 def test_without_border_or_prediction_it_is_not_certain() -> None:
     """A lattice that could be several parts of the board is said to be so."""
     scene = BoardScene(target=NO_BORDER)
-    assert not detect_board(scene.image(), scene.board).certain
+    assert not detect_board(scene.image(), scene.board).unambiguous
 
 
 @pytest.mark.parametrize("moved_mm", [(0.0, 0.0), (0.7, -0.6)])
@@ -149,7 +149,7 @@ def test_a_prediction_names_what_no_border_does(moved_mm) -> None:
     expected = BoardScene(target=NO_BORDER).pose
     seen = locate_board(scene.image(), AS_CORE, scene.board, scene.board.corners_mm, expected)
     _assert_right(scene, seen, within_px=0.05)
-    assert seen.certain
+    assert seen.unambiguous
 
 
 def test_halfway_between_two_places_is_not_certain() -> None:
@@ -157,7 +157,7 @@ def test_halfway_between_two_places_is_not_certain() -> None:
     scene = BoardScene(target=NO_BORDER).moved(1.0, 1.0)
     expected = BoardScene(target=NO_BORDER).pose
     seen = locate_board(scene.image(), AS_CORE, scene.board, scene.board.corners_mm, expected)
-    assert not seen.certain
+    assert not seen.unambiguous
 
 
 @pytest.mark.parametrize("moved_mm", [(4.0, 0.0), (2.0, 2.0), (-4.0, 0.0)])
@@ -167,7 +167,7 @@ def test_a_whole_period_is_seen_by_the_border(moved_mm) -> None:
     scene = still.moved(*moved_mm)
     nominal = scene.board.corners_mm
     seen = locate_board(scene.image(), AS_CORE, scene.board, nominal, still.pose)
-    assert seen.certain
+    assert seen.unambiguous
     moved = resect(AS_CORE, nominal, seen.view).pose.compose(still.pose.inverse())
     assert moved.t_mm[:2] == pytest.approx(moved_mm, abs=0.02)
 
@@ -238,7 +238,7 @@ def test_a_line_near_the_edge_of_the_image_is_not_taken_for_the_last(
     nominal = scene.board.corners_mm
     near = scene.moved(0.3, -0.4).pose
     seen = locate_board(scene.image(), AS_CORE, scene.board, nominal, near)
-    assert seen.certain
+    assert seen.unambiguous
     off_px = np.hypot(*(seen.view.points_px - scene.corners_px[seen.view.index]).T)
     assert off_px.max() < 0.3
 

@@ -47,7 +47,7 @@ def shadowed(scene: BoardScene, seed: int, depth: float, half_shadow_px: float) 
 def pose_in(scene: BoardScene, image: GreyImage) -> BoardPose:
     nominal = scene.board.corners_mm
     located = locate_board(image, AS_CORE, scene.board, nominal, scene.pose)
-    assert located.certain
+    assert located.unambiguous
     assert len(located.view.index) > 0.75 * located.visible
     return resect(AS_CORE, nominal, located.view, located.near)
 

@@ -22,7 +22,7 @@ def test_dark_patches_at_the_border_are_not_taken_for_the_board(turn_deg) -> Non
     for square in [(3, -1), (5, 7), (-1, 3), (10, 4)]:
         cv2.fillConvexPoly(pixels, _outline(scene, *square), 20, cv2.LINE_AA)
     seen = detect_board(GreyImage(pixels), scene.board)
-    assert seen.certain
+    assert seen.unambiguous
     inside = scene.inside(8.0)
     assert set(inside) <= set(seen.view.index.tolist())
     miss = seen.view.points_px - scene.corners_px[seen.view.index]

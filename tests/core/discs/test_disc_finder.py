@@ -47,7 +47,7 @@ def test_named_in_order_at_any_roll_to_40_degrees(target, roll_deg) -> None:
     scene = TargetScene(target=target, roll_deg=roll_deg)
     discs = _find(scene)
     _assert_right(scene, discs)
-    assert discs.clean.min() > 0.97
+    assert discs.explained_fraction.min() > 0.97
 
 
 @pytest.mark.parametrize("diameter_px", [160, 200, 250, 400])
@@ -156,7 +156,7 @@ def test_a_shadow_edge_across_a_disc_is_noticed() -> None:
     light = np.ones((CAMERA.height_px, CAMERA.width_px), np.float32)
     light[:, : round(scene.centres_px[2, 0])] = 0.25
     discs = find_discs(scene.images(1, light=light)[0], scene.target, PX_PER_MM)
-    assert not discs.found[2] or discs.clean[2] < 0.9
+    assert not discs.found[2] or discs.explained_fraction[2] < 0.9
     others = np.array([0, 1, 3, 4])
     assert discs.found[others].all()
     assert np.abs((discs.points_px - scene.centres_px)[others]).max() < 0.02

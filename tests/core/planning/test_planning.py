@@ -1,4 +1,4 @@
-"""What is foreseen from a drawing against what simulated sites, built otherwise, then measure."""
+"""What is predicted from a drawing against what simulated sites, built otherwise, then measure."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from core.planning.predicted_accuracy import (
     FrameNoise,
     calibrate_drawing,
     drift_rows,
-    foresee,
     limits_of,
+    predict,
 )
 from core.site import QualityLimits
 
@@ -42,48 +42,48 @@ def told_mm(rows: Sequence[sites.Row]) -> FloatArray:
     return np.sqrt(np.mean([np.diag(row.covariance_mm2) for row in rows], axis=0))
 
 
-def foreseen_mm(case: sites.Case, seed: int) -> FloatArray:
+def predicted_mm(case: sites.Case, seed: int) -> FloatArray:
     """(2,) sigma of x and y for the rig anywhere within the drift."""
     drawing, campaign = drawn(case, seed)
-    setup = calibrate_drawing(drawing, campaign)
+    calibrated = calibrate_drawing(drawing, campaign)
     noise = FrameNoise(0.0, 0.0) if case.quiet_rows else FrameNoise()
-    return foresee(drift_rows(drawing, setup), setup.posterior, noise).drifted_mm
+    return predict(drift_rows(drawing, calibrated), calibrated.posterior, noise).drifted_mm
 
 
 @pytest.mark.parametrize("kind", ["lab", "field"])
-def test_sites_measure_as_foreseen(kind: sites.Kind) -> None:
-    """Each site's rows say the sigma that was foreseen; together they err by as much."""
+def test_sites_measure_as_predicted(kind: sites.Kind) -> None:
+    """Each site's rows say the sigma that was predicted; together they err by as much."""
     case = sites.Case(kind, shrink=4.0)
     errors = []
     for seed in range(1, SITES + 1):
-        foreseen = foreseen_mm(case, seed)
+        predicted = predicted_mm(case, seed)
         rows = sites.run_numbers(case, seed).rows
-        assert foreseen == pytest.approx(told_mm(rows), rel=0.2)
-        errors.append([row.error_mm / foreseen for row in rows])
+        assert predicted == pytest.approx(told_mm(rows), rel=0.2)
+        errors.append([row.error_mm / predicted for row in rows])
     assert 1.0 / 1.5 < np.sqrt(np.mean(np.square(errors))) < 1.5
 
 
 @pytest.mark.parametrize("kind", ["lab", "field"])
-def test_calibrations_know_as_much_as_foreseen(kind: sites.Kind) -> None:
+def test_calibrations_know_as_much_as_predicted(kind: sites.Kind) -> None:
     """Likewise the calibration's part alone, mostly smaller than a row's own noise."""
     case = sites.Case(kind, shrink=4.0, quiet_rows=True)
     for seed in (1, 2, 3):
-        ratio = foreseen_mm(case, seed) / told_mm(sites.run_numbers(case, seed).rows)
+        ratio = predicted_mm(case, seed) / told_mm(sites.run_numbers(case, seed).rows)
         assert (ratio > 1.0 / 1.5).all()
         assert (ratio < 1.5).all()
 
 
 def test_a_cause_taken_away_leaves_what_was_said() -> None:
-    """What is foreseen without a cause is foreseen of a site that has it not."""
+    """What is predicted without a cause is predicted of a site that has it not."""
     drawing, campaign = drawn(sites.Case("field", shrink=4.0), 1)
-    setup = calibrate_drawing(drawing, campaign)
-    rows = drift_rows(drawing, setup)
-    now = foresee(rows, setup.posterior).typical_mm
-    without = {limit.cause: limit.without_mm for limit in limits_of(drawing, setup, rows)}
+    calibrated = calibrate_drawing(drawing, campaign)
+    rows = drift_rows(drawing, calibrated)
+    now = predict(rows, calibrated.posterior).typical_mm
+    without = {limit.cause: limit.without_mm for limit in limits_of(drawing, calibrated, rows)}
     known = replace(drawing.site.rig, rotation_sigma_deg=1e-5)
     other = replace(drawing, site=replace(drawing.site, rig=known))
     again = calibrate_drawing(other, campaign)
-    left = foresee(drift_rows(other, again), again.posterior).typical_mm
+    left = predict(drift_rows(other, again), again.posterior).typical_mm
     assert left < 0.99 * now
     assert without["rotation between the cameras"] == pytest.approx(left, rel=1e-3)
     assert min(without, key=without.__getitem__) == "noise of a frame's pose (sub-camera)"

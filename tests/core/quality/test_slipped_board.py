@@ -34,19 +34,34 @@ def test_the_calibrated_board_is_not_taken_for_another(lab):
 
 @pytest.mark.parametrize("squares", [(2, 0), (0, 2), (1, 1), (-2, 4)])
 def test_corners_named_a_period_off_lack_the_calibrated_print_errors(lab, squares):
-    setup = lab.calibration.setup
+    calibrated = lab.calibration.calibrated
     view = locate_board(
-        sub_image(lab, 60), setup.lens, setup.board, setup.corners_mm, setup.reference_pose
+        sub_image(lab, 60),
+        calibrated.lens,
+        calibrated.board,
+        calibrated.corners_mm,
+        calibrated.reference_pose,
     ).view
-    row, column = np.divmod(view.index, setup.board.columns)
+    row, column = np.divmod(view.index, calibrated.board.columns)
     column, row = column + squares[0], row + squares[1]
-    there = (column >= 0) & (column < setup.board.columns) & (row >= 0) & (row < setup.board.rows)
+    there = (
+        (column >= 0)
+        & (column < calibrated.board.columns)
+        & (row >= 0)
+        & (row < calibrated.board.rows)
+    )
     seen = view.select(there)
     named = BoardView(
-        (row * setup.board.columns + column)[there], seen.points_px, seen.covariance_px2
+        (row * calibrated.board.columns + column)[there], seen.points_px, seen.covariance_px2
     )
-    assert missing_print(setup, view, resect(setup.lens, setup.corners_mm, view))[0] < 0.1
-    assert missing_print(setup, named, resect(setup.lens, setup.corners_mm, named))[0] > 0.35
+    assert (
+        missing_print(calibrated, view, resect(calibrated.lens, calibrated.corners_mm, view))[0]
+        < 0.1
+    )
+    assert (
+        missing_print(calibrated, named, resect(calibrated.lens, calibrated.corners_mm, named))[0]
+        > 0.35
+    )
 
 
 @pytest.mark.parametrize("seed", [11, 12, 13])

@@ -138,16 +138,16 @@ def test_a_slip_is_told_until_it_is_undone(
 
 def samples(count: int, **changes: object) -> list[Sample]:
     at_rest = {"mm": np.zeros(2), "false_mm": np.zeros(2), "slide_mm": np.zeros(2)}
-    fields = {**at_rest, "sigma_mm": np.full(3, SIGMA_MM), "misfit": 1.0, "trusted": True}
+    fields = {**at_rest, "sigma_mm": np.full(3, SIGMA_MM), "residual_ratio": 1.0, "trusted": True}
     return [Sample(time_s=60.0 * k, **{**fields, **changes}) for k in range(count)]
 
 
 def test_corners_that_fit_badly_for_long_are_told():
     state, said = Continuity(), ()
-    for row in samples(40, misfit=2.3):
+    for row in samples(40, residual_ratio=2.3):
         said, state = state.judge(row, QualityLimits())
     assert said == (Reason.CALIBRATION_DRIFTING,)
-    assert state.misfit == pytest.approx(2.3)
+    assert state.residual_ratio == pytest.approx(2.3)
 
 
 def test_a_target_that_moves_faster_than_it_may_is_told():
@@ -173,7 +173,7 @@ def test_rendered_boards_that_slipped_are_never_good(lab: Session, squares: tupl
     for k in range(10):
         lab.world.slip_board(*(2.0 * np.array(squares) * (k >= 6)))
         row = lab.row(lab.world.settings.start_utc + (60 + 4 * k) * MINUTE)
-        now = sample_of(lab.calibration.setup, row.measurement, 240.0 * k)
+        now = sample_of(lab.calibration.calibrated, row.measurement, 240.0 * k)
         said = ()
         if now is not None:
             said, state = state.judge(now, lab.site.quality)

@@ -29,21 +29,21 @@ def trials() -> dict[str, FloatArray]:
     for seed in range(TRIALS):
         rng = np.random.default_rng(seed)
         truth = draw(rng)
-        setup, _ = calibrated(truth, rng)
-        assert isinstance(setup.model, Rig)
-        posterior = setup.posterior
+        calibrated_site, _ = calibrated(truth, rng)
+        assert isinstance(calibrated_site.model, Rig)
+        posterior = calibrated_site.posterior
         lens.append(
-            (setup.lens.parameters - truth.lens.parameters)[FREE_LENS]
+            (calibrated_site.lens.parameters - truth.lens.parameters)[FREE_LENS]
             / posterior.lens_sigma[FREE_LENS]
         )
-        rig.append(setup.model.deviation_from(truth.rig) / posterior.model_sigma)
+        rig.append(calibrated_site.model.deviation_from(truth.rig) / posterior.model_sigma)
         for _ in range(4):
             motion = Pose.from_vectors(rng.uniform(-1e-3, 1e-3, 3), rng.uniform(-1.5, 1.5, 3))
             moved_mm = rng.uniform(-5.0, 5.0, 2)
             view = truth.see_board(motion.compose(truth.reference), rng)
-            board = resect(setup.lens, setup.corners_mm, view)
+            board = resect(calibrated_site.lens, calibrated_site.corners_mm, view)
             discs = discs_of(truth.see_discs(motion, moved_mm, rng))
-            found, _ = corrected_displacement(setup, discs, board, view)
+            found, _ = corrected_displacement(calibrated_site, discs, board, view)
             error.append(found.mm - moved_mm)
             displacement.append(
                 np.linalg.solve(np.linalg.cholesky(found.covariance_mm2), error[-1])
@@ -77,8 +77,8 @@ def test_the_views_teach_what_the_drawing_does_not() -> None:
     """The rig's rotation about its axis: known to 1 degree from the drawing, better after."""
     rng = np.random.default_rng(0)
     truth = draw(rng)
-    setup, adjusted = calibrated(truth, rng)
-    sigma = setup.posterior.model_sigma
+    calibrated_site, adjusted = calibrated(truth, rng)
+    sigma = calibrated_site.posterior.model_sigma
     prior_rad = np.radians(SITE.rig.rotation_sigma_deg)
     assert sigma[2] < 0.5 * prior_rad
     assert np.all(sigma <= 1.001 * np.array([prior_rad] * 3 + [3.0] * 3 + [20 / 11000, 2e-3]))

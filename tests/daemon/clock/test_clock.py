@@ -299,6 +299,6 @@ def cut_at(monkeypatch, number: int, work) -> bool:
 def test_putting_right_may_be_repeated(station) -> None:
     station.run(6, {1: set_clock(station, -WRONG), 4: ntp(station, WRONG)})
     before = list(station.store.measurements()), station.gaps()
-    put_right(station.line, station.schedule)
-    recover(station.line, station.schedule)
+    put_right(station.context, station.schedule)
+    recover(station.context, station.schedule)
     assert (list(station.store.measurements()), station.gaps()) == before

@@ -54,16 +54,16 @@ def test_json_tells_scales_room_and_sigma(ctl: Ctl, tmp_path: Path) -> None:
     assert told["corners"] == 15 * 13
     assert told["warnings"] == []
     assert told["failure"] is None
-    foreseen = told["foreseen"]
-    assert foreseen["typical_mm"] == max(foreseen["drifted_mm"])
-    assert foreseen["worst_mm"] == max(motion["row_mm"] for motion in foreseen["motions"])
-    assert len(foreseen["motions"]) == 6
-    for motion in foreseen["motions"]:
+    predicted = told["predicted"]
+    assert predicted["typical_mm"] == max(predicted["drifted_mm"])
+    assert predicted["worst_mm"] == max(motion["row_mm"] for motion in predicted["motions"])
+    assert len(predicted["motions"]) == 6
+    for motion in predicted["motions"]:
         assert 0.0 < motion["calibration_mm"] < motion["row_mm"]
-    assert max(foreseen["still_mm"]) < foreseen["typical_mm"]
+    assert max(predicted["still_mm"]) < predicted["typical_mm"]
     for limit in told["limits"]:
-        assert 0.0 < limit["without_mm"] <= foreseen["typical_mm"] * (1.0 + 1e-9)
-    assert all(x["typical_mm"] < 0.9 * foreseen["typical_mm"] for x in told["improvements"])
+        assert 0.0 < limit["without_mm"] <= predicted["typical_mm"] * (1.0 + 1e-9)
+    assert all(x["typical_mm"] < 0.9 * predicted["typical_mm"] for x in told["improvements"])
 
 
 def test_what_is_said_to_better_it_does(ctl: Ctl, tmp_path: Path) -> None:
@@ -75,24 +75,24 @@ def test_what_is_said_to_better_it_does(ctl: Ctl, tmp_path: Path) -> None:
         SITE, ("squares_x = 16", "squares_x = 23"), ("squares_y = 14", "squares_y = 20")
     )
     then = planned(ctl, tmp_path, larger_site)
-    assert then["foreseen"]["typical_mm"] == pytest.approx(larger["typical_mm"])
-    assert then["foreseen"]["typical_mm"] < 0.9 * now["foreseen"]["typical_mm"]
+    assert then["predicted"]["typical_mm"] == pytest.approx(larger["typical_mm"])
+    assert then["predicted"]["typical_mm"] < 0.9 * now["predicted"]["typical_mm"]
 
 
 def test_noisier_images_and_a_shorter_reach_are_worse(ctl: Ctl, tmp_path: Path) -> None:
-    usual = planned(ctl, tmp_path)["foreseen"]
-    noisy = planned(ctl, tmp_path, SITE, "--noise-dn", "3")["foreseen"]
+    usual = planned(ctl, tmp_path)["predicted"]
+    noisy = planned(ctl, tmp_path, SITE, "--noise-dn", "3")["predicted"]
     assert 2.0 < max(noisy["still_mm"]) / max(usual["still_mm"]) < 3.1
     short = planned(ctl, tmp_path, SITE, "--reach-deg", "0.03", "0.03")
     assert np.abs(short["positions_deg"]).max() == pytest.approx(0.03)
-    assert short["foreseen"]["worst_mm"] > 1.02 * usual["worst_mm"]
+    assert short["predicted"]["worst_mm"] > 1.02 * usual["worst_mm"]
 
 
 def test_the_kind_of_lens_counts(ctl: Ctl, tmp_path: Path) -> None:
     """A fisheye shows the edge of the board in fewer pixels than another of its focal length."""
-    usual = planned(ctl, tmp_path)["foreseen"]
+    usual = planned(ctl, tmp_path)["predicted"]
     lens = ("focal_length_mm = 6.0", 'focal_length_mm = 6.0\nlens_model = "fisheye"')
-    fisheye = planned(ctl, tmp_path, changed(SITE, lens))["foreseen"]
+    fisheye = planned(ctl, tmp_path, changed(SITE, lens))["predicted"]
     assert 1.02 < fisheye["typical_mm"] / usual["typical_mm"] < 2.0
 
 
@@ -101,7 +101,7 @@ def test_text_says_sigma_causes_and_changes(ctl: Ctl, tmp_path: Path) -> None:
     ran = plan(ctl, tmp_path)
     assert ran.code == 0
     assert ran.err == ""
-    assert f"foreseen: 1 sigma of {told['foreseen']['typical_mm']:.2g} mm" in ran.out
+    assert f"predicted: 1 sigma of {told['predicted']['typical_mm']:.2g} mm" in ran.out
     assert "12 lens views, 23 positions of the head" in ran.out
     assert f"{told['limits'][0]['without_mm']:.4f}" in ran.out
     for better in told["improvements"]:
@@ -163,7 +163,7 @@ def test_a_site_that_cannot_be_calibrated_is_exit_1_with_the_cause(
     ran = plan(ctl, tmp_path, config, "--json")
     assert ran.code == 1
     told = json.loads(ran.out)
-    assert told["foreseen"] is None
+    assert told["predicted"] is None
     assert words in told["failure"]
     assert told["main_px_per_mm"] > 0.0
     ran = plan(ctl, tmp_path, config)

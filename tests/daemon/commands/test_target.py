@@ -101,7 +101,7 @@ def test_the_printed_board_is_the_one_the_software_finds(
     board = Board.nominal(site_of(tmp_path).sub_target)
     located = detect_board(page.seen(), board)
     assert len(located.view.index) == len(board.corners_mm)
-    assert located.certain
+    assert located.unambiguous
     on_page = page.page_mm(located.view.points_px)
     matrix, shift, miss_mm = similarity(board.corners_mm[located.view.index, :2], on_page)
     assert matrix == pytest.approx(np.eye(2), abs=5e-4)  # true pitch, upright, not mirrored

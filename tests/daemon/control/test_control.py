@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from daemon.control import control_socket as control
-from daemon.control.camera_lease import Pause
+from daemon.control.camera_lease import CameraLease
 from daemon.control.control_socket import (
     MAX_CONNECTIONS,
     SOCKET_NAME,
@@ -31,10 +31,10 @@ class Served:
     def __init__(self, station) -> None:
         self.station = station
         self.closed = 0
-        self.pause = Pause(self._close)
+        self.pause = CameraLease(self._close)
         self.runner = station.start()
         self.runner = SlotRunner(
-            station.line,
+            station.context,
             station.schedule,
             station.source,
             station.stop,
@@ -78,7 +78,7 @@ def ask(connection: socket.socket, line: bytes) -> dict:
     return json.loads(connection.makefile("rb").readline())
 
 
-def until_measuring(pause: Pause) -> None:
+def until_measuring(pause: CameraLease) -> None:
     """Wait until nobody holds the pause any more: a hold of our own gets through."""
     ended = threading.Event()
 
@@ -232,7 +232,7 @@ def test_a_socket_left_by_a_killed_daemon_is_replaced(station) -> None:
     with paused_daemon(station.state, "calibration") as paused:
         assert not paused
     with (
-        control_socket(station.state, Pause(lambda: None)),
+        control_socket(station.state, CameraLease(lambda: None)),
         paused_daemon(station.state, "calibration") as paused,
     ):
         assert paused
@@ -244,7 +244,7 @@ def test_a_state_directory_of_any_length_will_do(tmp_path: Path) -> None:
     state = tmp_path / ("long" * 30)
     state.mkdir()
     with (
-        control_socket(state, Pause(lambda: None)),
+        control_socket(state, CameraLease(lambda: None)),
         paused_daemon(state, "calibration") as paused,
     ):
         assert paused
@@ -253,7 +253,7 @@ def test_a_state_directory_of_any_length_will_do(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root to become somebody else")
 def test_whoever_is_not_of_the_group_is_told_so(station) -> None:
-    with control_socket(station.state, Pause(lambda: None)):
+    with control_socket(station.state, CameraLease(lambda: None)):
         child = os.fork()
         if child == 0:
             for directory in (station.state, *station.state.parents):

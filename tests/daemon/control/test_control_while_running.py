@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from daemon.control.camera_lease import Pause
-from daemon.control.control_socket import Offers, ask_daemon, control_socket, paused_daemon
+from daemon.control.camera_lease import CameraLease
+from daemon.control.control_socket import CommandHandlers, ask_daemon, control_socket, paused_daemon
 from daemon.errors import DcamError
 from daemon.schedule import Schedule
 from daemon.slots.snapshot import room_for_look
@@ -129,7 +129,7 @@ def test_a_look_keeps_away_from_slots(period_s, now_s, ended_s, has_room) -> Non
 
 
 def test_a_look_waits_for_the_slot_in_progress_and_a_slot_for_the_look() -> None:
-    pause, order = Pause(), []
+    pause, order = CameraLease(), []
     in_look, may_end = threading.Event(), threading.Event()
 
     def look() -> None:
@@ -152,12 +152,12 @@ def test_a_look_waits_for_the_slot_in_progress_and_a_slot_for_the_look() -> None
 
 
 def test_a_look_for_which_there_is_never_time_is_refused() -> None:
-    with Pause().between_slots(lambda _ended_utc: False, 0.01) as refusal:
+    with CameraLease().between_slots(lambda _ended_utc: False, 0.01) as refusal:
         assert refusal == "there was no time for it between two slots"
 
 
 def test_a_look_during_a_pause_is_refused_with_its_reason(station) -> None:
-    pause = Pause()
+    pause = CameraLease()
     with (
         control_socket(station.state, pause),
         paused_daemon(station.state, "calibration by pid 7"),
@@ -168,7 +168,7 @@ def test_a_look_during_a_pause_is_refused_with_its_reason(station) -> None:
 
 @contextmanager
 def served(station, capture: Callable[[], dict]) -> Iterator[None]:
-    with control_socket(station.state, Pause(), Offers(capture, lambda: None)):
+    with control_socket(station.state, CameraLease(), CommandHandlers(capture, lambda: None)):
         yield
 
 

@@ -264,7 +264,7 @@ def test_removal_that_is_cut_anywhere_is_finished_by_the_next_daemon(state: Path
                     )
                 except Cut:
                     was_cut = True
-            station.archive.mend()
+            station.archive.repair()
             assert station.archive.orphans(station.store.measured_slots()) == []
             work_off(retention(station, rules), station)
             assert kept(station) == {2: 6}

@@ -49,9 +49,9 @@ def test_recovery_may_be_repeated(station) -> None:
     station.run(2)
     leave_frames(station, 2)
     station.clock.advance(300)
-    first = recover(station.line, station.schedule)
+    first = recover(station.context, station.schedule)
     before = station.gaps(), station.minutes(), list(station.store.measurements())
-    assert recover(station.line, station.schedule) == first
+    assert recover(station.context, station.schedule) == first
     assert (station.gaps(), station.minutes(), list(station.store.measurements())) == before
 
 
@@ -123,7 +123,7 @@ def test_row_taken_by_hand_in_between_hides_no_missed_slot(station) -> None:
     mark_stop(station.store, station.clock.now_utc())
     station.clock.advance(180)
     leave_frames(station, 4)
-    record_late(station.line, slot(4))
+    record_late(station.context, slot(4))
     station.clock.advance(120)
     station.run(1)
     assert station.minutes() == [0, 1, 4, 6]

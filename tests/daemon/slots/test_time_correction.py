@@ -121,9 +121,9 @@ def test_rows_that_others_keep_from_their_slots_are_in_nobodys_way(station, reda
     station.run(7)
     station.clock.advance(3_600)
     span = ["--since", "2026-03-01T12:00", "--until", "2026-03-01T12:05", "--shift", "120"]
-    foretold = redate(*span, "--dry-run")[1]
+    predicted = redate(*span, "--dry-run")[1]
     code, out, _ = redate(*span)
-    assert (code, foretold.replace("would be ", "")) == (1, out)
+    assert (code, predicted.replace("would be ", "")) == (1, out)
     assert "3 rows moved\n2 left undated" in out
     assert station.minutes() == [2, 3, 4, 5, 6]
     moved = [row for row in station.store.measurements() if row.redated_from_utc]

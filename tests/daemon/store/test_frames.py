@@ -88,7 +88,7 @@ def test_a_burst_whose_lines_were_lost_is_mended(archive: FrameArchive, tmp_path
         archive.store(slot(0), pair(number), START, number)
     (tmp_path / DAY / "000000_03_sub.png").unlink()
     cut(tmp_path / DAY / "frames.csv", 330)
-    assert archive.mend() == [slot(0)]
+    assert archive.repair() == [slot(0)]
     assert [row.burst for row in read_frame_set(tmp_path / DAY).rows] == [1, 2]
     assert archive.numbers(slot(0)) == [1, 2]
     assert archive.orphans([]) == [slot(0)]
@@ -162,12 +162,12 @@ def test_a_torn_line_is_mended_from_the_images(
     assert archive.load(slot(2)).skew_s is None
     assert archive.stored_slots() == [slot(0), slot(1), slot(2)]
 
-    assert archive.mend() == [slot(2)]
+    assert archive.repair() == [slot(2)]
 
     mended = (tmp_path / DAY / "frames.csv").read_text().splitlines()
     assert mended[:3] == whole[:3]
     assert listed(tmp_path) == [slot(0), slot(1), slot(2)]
-    assert archive.mend() == []
+    assert archive.repair() == []
 
 
 def test_a_pair_stored_after_a_torn_line_leaves_a_whole_table(
@@ -178,7 +178,7 @@ def test_a_pair_stored_after_a_torn_line_leaves_a_whole_table(
     cut(tmp_path / DAY / "frames.csv", 30)
     archive.store(slot(2), pair(2))
     assert listed(tmp_path) in ([slot(0), slot(2)], [slot(0), slot(1), slot(2)])
-    archive.mend()
+    archive.repair()
     assert listed(tmp_path) == [slot(0), slot(1), slot(2)]
 
 
@@ -193,7 +193,7 @@ def test_a_damaged_table_is_set_aside_and_written_anew(
     table = tmp_path / DAY / "frames.csv"
     table.write_bytes(damage)
     archive.store(slot(2), pair(2))
-    archive.mend()
+    archive.repair()
     assert listed(tmp_path) == [slot(0), slot(1), slot(2)]
     assert (tmp_path / DAY / "frames.csv.damaged-1").exists()
     assert archive.load(slot(2)).skew_s == -0.0012
@@ -217,7 +217,7 @@ def test_a_table_of_another_version_keeps_its_columns(
 def test_leftovers_of_interrupted_writes_go(archive: FrameArchive, tmp_path: Path) -> None:
     archive.store(slot(0), pair())
     (tmp_path / DAY / ".000100_main.png.tmp").write_bytes(b"half an im")
-    archive.mend()
+    archive.repair()
     assert sorted(path.name for path in (tmp_path / DAY).iterdir()) == [
         "000000_main.png",
         "000000_sub.png",

@@ -104,8 +104,8 @@ def test_every_slot_has_one_fate(store: Store, steps: list[tuple]) -> None:
 def test_neighbours_of_one_cause_are_one_gap(store: Store, steps: list[tuple]) -> None:
     start = next(_STARTS)
     fate = play(store, start, steps)
-    fates = groupby(range(SLOTS), key=fate.get)
-    runs = [(cause, list(numbers)) for cause, numbers in fates if cause in CAUSES]
+    audit_slots = groupby(range(SLOTS), key=fate.get)
+    runs = [(cause, list(numbers)) for cause, numbers in audit_slots if cause in CAUSES]
     assert store.gaps(start, start + timedelta(days=1)) == [
         GapRecord(slot(run[0], start), slot(run[-1], start), PERIOD_S, GapCause(cause))
         for cause, run in runs
@@ -119,16 +119,16 @@ def test_coverage_counts_each_slot_once(
 ) -> None:
     start = next(_STARTS)
     fate = play(store, start, steps)
-    fates = [fate.get(number) for number in range(since, until)]
+    audit_slots = [fate.get(number) for number in range(since, until)]
     found = store.coverage(slot(since, start), slot(until, start), period_s=PERIOD_S)
     assert found == Coverage(
-        expected=len(fates),
+        expected=len(audit_slots),
         good=0,
-        suspect=fates.count("suspect"),
-        bad=fates.count("bad"),
+        suspect=audit_slots.count("suspect"),
+        bad=audit_slots.count("bad"),
         missing=0,
-        gaps={cause: fates.count(cause) for cause in CAUSES if cause in fates},
-        unaccounted=fates.count(None),
+        gaps={cause: audit_slots.count(cause) for cause in CAUSES if cause in audit_slots},
+        unaccounted=audit_slots.count(None),
     )
     assert found.measured + found.missed + found.unaccounted == found.expected
 

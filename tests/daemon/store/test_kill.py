@@ -69,7 +69,7 @@ def test_what_is_left_can_be_taken_up_and_finished(
         shutil.copytree(original, state)
         archive = FrameArchive(state)
         with open_store(state) as store:
-            archive.mend()
+            archive.repair()
             orphans = archive.orphans(store.measured_slots())
             orphans_seen += len(orphans)
             for late in orphans:
