@@ -12,7 +12,6 @@ import click
 from daemon.commands.options import Options, common_options, pass_options
 from daemon.config.reading import Installation
 from daemon.control.notify import Notifier
-from daemon.control.reporting import Reporter
 from daemon.control.requests import ControlRequests, given_by_signals
 from daemon.control.run_state import runtime_directory
 from daemon.devices import require_backend
@@ -20,6 +19,7 @@ from daemon.error_report import run
 from daemon.lock import sole_writer
 from daemon.log import configure_log
 from daemon.retention.guard import relieve
+from daemon.slots.reporting import Reporter
 from daemon.slots.service import Service, Station
 from daemon.store.database import database_bytes
 from daemon.store.opening import damage_noted, open_checked_store

@@ -22,7 +22,7 @@ PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 CORE_MAY_IMPORT = {
     *("__future__", "collections", "contextlib", "dataclasses", "enum", "functools", "itertools"),
     *("math", "operator", "types", "typing"),
-    *("core", "cv2", "numba", "numpy", "scipy"),
+    *("core", "cv2", "importlib", "numba", "numpy", "scipy"),
 }
 """Numerics and the standard library's data types; nothing with a clock, a file or a state."""
 
@@ -36,6 +36,9 @@ CORE_MAY_NOT_CALL = {
 
 BREAKS = {
     "layers": ("core/errors.py", "import drivers.errors"),
+    "rooms-of-core": ("core/geometry/pose.py", "import core.rig.rigid"),
+    "rooms-of-daemon": ("daemon/store/gaps.py", "import daemon.slots.runner"),
+    "rooms-of-drivers": ("drivers/heads/moves.py", "import drivers.sim.head_axis"),
     "core-is-pure": ("core/site.py", "import time"),
     "drivers-are-small": ("drivers/errors.py", "import sqlalchemy"),
     "migrations-stand-alone": ("migrations/__init__.py", "import daemon.store"),
@@ -104,6 +107,20 @@ def test_core_imports_numerics_and_data_types_only(path: Path) -> None:
         elif isinstance(node, ast.ImportFrom):
             imported.add((node.module or "").partition(".")[0])
     assert imported <= CORE_MAY_IMPORT
+
+
+def test_the_front_door_of_core_leads_to_every_name_and_loads_no_numerics_before() -> None:
+    """`from core import find_target` works; who needs a type alone does not wait for OpenCV."""
+    code = (
+        "import sys, core\n"
+        "core.Flag\n"
+        "print([name for name in ('cv2', 'numba', 'scipy') if name in sys.modules])\n"
+        "print([name for name in core.__all__ if getattr(core, name).__name__ != name])\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert result.stdout.split("\n")[:2] == ["[]", "[]"]
 
 
 @pytest.mark.parametrize("path", python_files("core"), ids=lambda path: path.name)

@@ -36,7 +36,6 @@ from daemon.devices import open_bench, open_calibration_rig, open_clock
 from daemon.errors import ExitCode, UsageError, WorkFailedError
 from daemon.lock import require_owner
 from daemon.slots.exposure import loop_of
-from daemon.status.facts import has_stepped_clock
 from daemon.store.database import Store, open_store
 from drivers.frameset import FrameSet, FrameSetRow, read_frame_set
 
@@ -174,7 +173,7 @@ def calibrate_with_head(
     Raises ConfigError and HardwareError where there is no head, AlreadyRunningError, HeadError,
     DeviceError, CalibrationError.
     """
-    simulated_clock = has_stepped_clock(config)
+    simulated_clock = config.has_stepped_clock
     begun = (
         None
         if fresh

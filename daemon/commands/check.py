@@ -17,7 +17,6 @@ from daemon.commands.options import Options, common_options, json_option, pass_o
 from daemon.commands.output import print_json, print_table
 from daemon.config.reading import Installation
 from daemon.errors import ExitCode
-from daemon.status.facts import has_stepped_clock
 
 
 @click.command("check", epilog="\b\nExample:\n  dcam-ctl --config dcam.toml check --hardware")
@@ -52,7 +51,7 @@ def _findings(site: Installation, *, hardware: bool) -> Iterator[Finding]:
     yield check_state(site)
     yield check_room(config, state)
     yield from check_database(site)
-    yield check_clock(simulated=has_stepped_clock(config))
+    yield check_clock(simulated=config.has_stepped_clock)
     yield check_backend(config)
     if not hardware:
         return

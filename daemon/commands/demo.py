@@ -29,11 +29,12 @@ from daemon.devices import open_clock, open_simulated_rig
 from daemon.errors import UsageError, WorkFailedError
 from daemon.reports.figure import draw, require_matplotlib, series_of
 from daemon.reports.history import gap_spans
+from daemon.status.coverage import coverage_text
 from daemon.status.facts import collect_facts
 from daemon.status.verdict import judge
 from daemon.store.database import Store, open_store, open_store_readonly
 from daemon.store.records import GapRecord, MeasurementRecord
-from daemon.text import coverage_text, span_text
+from daemon.text import span_text
 from drivers.errors import MissingLibraryError
 
 SLOTS = 72

@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import datetime
-from enum import Enum
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from core.results import Measurement
-from daemon.store.convert import BURST_COLUMNS, RESULT_COLUMNS, measurement_columns
-from daemon.store.records import GapRecord, MeasurementRecord
-from daemon.text import utc_text
+from daemon.store.json_fields import plain
+from daemon.store.records import GapRecord
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -37,31 +31,6 @@ def print_json(payload: Mapping[str, Any]) -> None:
     """Print one JSON object with its schema number; times in ISO 8601, never NaN."""
     document = plain({"schema": JSON_SCHEMA, **payload})
     print(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
-
-
-def plain(value: Any) -> Any:
-    """Give plain JSON types: times in ISO 8601, None for a number that is none."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, datetime):
-        return utc_text(value)
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, Path):
-        return str(value)
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-def result_fields(slot_utc: datetime, measurement: Measurement) -> dict[str, Any]:
-    """A measurement for `--json`: the columns of `reprocess`, with the same names."""
-    record = MeasurementRecord(slot_utc, measurement, config_hash="", version="")
-    columns = measurement_columns(record)
-    fields = {name: columns.get(name) for name in RESULT_COLUMNS + BURST_COLUMNS}
-    return {**fields, "reasons": [reason.value for reason in measurement.reasons]}
 
 
 def gap_fields(gap: GapRecord) -> dict[str, object]:

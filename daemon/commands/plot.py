@@ -11,8 +11,8 @@ from daemon.commands.options import Options, common_options, pass_options, span_
 from daemon.commands.output import note
 from daemon.errors import UsageError
 from daemon.reports.table import replacing
+from daemon.status.coverage import coverage_text
 from daemon.store.database import open_store_readonly
-from daemon.text import coverage_text
 
 SUFFIXES = (".png", ".svg")
 

@@ -10,8 +10,8 @@ import click
 from daemon.commands.options import Options, common_options, pass_options, span_options
 from daemon.commands.output import note
 from daemon.reports.table import replacing
+from daemon.status.coverage import coverage_text
 from daemon.store.database import open_store_readonly
-from daemon.text import coverage_text
 
 
 @click.command("report", epilog="\b\nExample:\n  dcam-ctl report --since 30d --output march.html")

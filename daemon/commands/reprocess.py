@@ -22,7 +22,7 @@ from daemon.commands.options import (
     pass_options,
     span_options,
 )
-from daemon.commands.output import note, print_json, progress, result_fields
+from daemon.commands.output import note, print_json, progress
 from daemon.config.reading import Config
 from daemon.errors import DatabaseMissingError, UsageError, WorkFailedError
 from daemon.reports.table import opened_output, write_results
@@ -30,6 +30,7 @@ from daemon.slots.measuring import ActiveCalibration, PairFiles, load_pairs, mea
 from daemon.slots.row_history import RowHistory
 from daemon.store.database import NEVER, open_store_readonly
 from daemon.store.frames.archive import FrameArchive
+from daemon.store.json_fields import result_fields
 from daemon.store.records import EPOCH, CalibrationRecord
 from drivers.frameset import FrameSet, FrameSetRow, read_frame_set
 

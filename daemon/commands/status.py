@@ -8,9 +8,10 @@ from datetime import UTC, datetime
 import click
 
 from daemon.commands.options import Options, at_option, common_options, json_option, pass_options
-from daemon.commands.output import gap_fields, print_json, print_table, result_fields, say
+from daemon.commands.output import gap_fields, print_json, print_table, say
 from daemon.status.facts import Facts, collect_facts
 from daemon.status.verdict import Item, Level, judge, no_verdict, worst
+from daemon.store.json_fields import result_fields
 from daemon.store.records import Coverage
 from daemon.text import utc_text
 

@@ -294,6 +294,11 @@ class Config(Section):
         """What the site is called."""
         return self.site_section.name
 
+    @property
+    def has_stepped_clock(self) -> bool:
+        """Whether the site's time is simulated and not the machine's."""
+        return self.camera.main.backend == "simulated" and self.simulation.clock == "stepped"
+
     def site(self) -> Site:
         """Convert cameras, targets, rig and limits to the core's type."""
         return Site(

@@ -20,11 +20,12 @@ from core.results import Flag
 from daemon.config.reading import Installation
 from daemon.reports.figure import draw
 from daemon.reports.history import History, gap_spans
+from daemon.status.coverage import coverage_text
 from daemon.status.facts import collect_facts
 from daemon.status.verdict import judge, worst
 from daemon.store.database import Store
 from daemon.store.records import MeasurementRecord
-from daemon.text import coverage_text, span_text, utc_text
+from daemon.text import span_text, utc_text
 from daemon.version import VERSION
 
 _TEMPLATE = Path(__file__).with_name("page.html.j2")

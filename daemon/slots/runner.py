@@ -12,11 +12,11 @@ import structlog
 from core.results import Reason
 from daemon.clock.downtime import absence_text, read_absence
 from daemon.control.camera_lease import CameraLease
-from daemon.control.reporting import Reporter
 from daemon.errors import DatabaseDamagedError, StoreError
 from daemon.schedule import MissedSlots, Schedule
 from daemon.slots.pipeline import Missed, SlotContext, record_late, run_slot
 from daemon.slots.recovery import mark_finished
+from daemon.slots.reporting import Reporter
 from daemon.slots.supervision import INTERNAL, Circuit
 from daemon.slots.time_correction import Redated, put_right, split_at, undated_archive
 from daemon.store.records import GapCause, Mark, MeasurementRecord

@@ -15,7 +15,6 @@ from daemon.clock.machine import simulated_machine, this_machine
 from daemon.config.reading import Installation, load_config
 from daemon.control.camera_lease import CameraLease
 from daemon.control.control_socket import CommandHandlers, control_socket
-from daemon.control.reporting import Reporter
 from daemon.control.requests import ControlRequests
 from daemon.devices import open_clock, open_pair_source, require_backend
 from daemon.errors import ConfigError, StoreError, WorkFailedError
@@ -26,10 +25,10 @@ from daemon.slots.exposure import last_known, loop_of
 from daemon.slots.measuring import active_calibration
 from daemon.slots.pipeline import SlotContext
 from daemon.slots.recovery import close_gap, mark_stop, recover
+from daemon.slots.reporting import Reporter
 from daemon.slots.runner import SlotRunner
 from daemon.slots.snapshot import look_fields, measure_look, room_for_look
 from daemon.slots.supervision import PROCESS_SPENT, Circuit, ProcessSpentError
-from daemon.status.facts import has_stepped_clock
 from daemon.store.database import Store
 from daemon.store.frames.archive import FrameArchive
 from daemon.store.records import GapCause
@@ -118,7 +117,7 @@ class Service:
             DiskGuard(self._store, archive, config.retention.rules(), self._clock),
             config.burst_plan(),
             exposure=loop_of(config),
-            machine=simulated_machine(self._clock) if has_stepped_clock(config) else this_machine(),
+            machine=simulated_machine(self._clock) if config.has_stepped_clock else this_machine(),
             late_row_done=self._reporter.late_row_done,
         )
         source = open_pair_source(config, self._clock)
@@ -168,7 +167,7 @@ class Service:
         require_backend(config)
         for key, old, new in (
             ("storage.directory", now.config.storage.directory, config.storage.directory),
-            ("simulation.clock", has_stepped_clock(now.config), has_stepped_clock(config)),
+            ("simulation.clock", now.config.has_stepped_clock, config.has_stepped_clock),
         ):
             if old != new:
                 msg = f"{config.path}: {key}: cannot be changed by a reload; restart dcamd"

@@ -9,11 +9,11 @@ from typing import Any
 from core.results import Measurement
 from core.site import Site
 from daemon.burst import Shot
-from daemon.commands.output import plain, result_fields
 from daemon.schedule import Schedule
 from daemon.slots.measuring import ActiveCalibration, image_pair, measure
 from daemon.slots.row_history import judge_in_history
 from daemon.store.database import Store
+from daemon.store.json_fields import plain, result_fields
 from drivers.protocols import CapturedFrame, CapturedPair
 
 ROOM_S = 60.0

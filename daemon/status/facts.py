@@ -111,7 +111,7 @@ class Facts:
 
 def collect_facts(config: Config, state: Path, now_utc: datetime) -> Facts:
     """Collect the facts of a site as of a time. Raises StoreError, OSError."""
-    simulated = has_stepped_clock(config)
+    simulated = config.has_stepped_clock
     with open_overview(state) as overview:
         accounted, last = overview.accounted(), overview.last_row()
         calibration = overview.calibration()
@@ -176,11 +176,6 @@ def _continuity(
         for fit in believed
     ]
     return lasting_residual_ratio(residual_ratios), slipped[-1].slot_utc if slipped else None
-
-
-def has_stepped_clock(config: Config) -> bool:
-    """Tell whether the site's time is simulated and not the machine's."""
-    return config.camera.main.backend == "simulated" and config.simulation.clock == "stepped"
 
 
 def dcamd_runs(state: Path) -> bool | None:

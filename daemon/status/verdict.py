@@ -8,9 +8,10 @@ from enum import IntEnum
 
 from daemon.error_report import lines_of
 from daemon.errors import DatabaseDamagedError
+from daemon.status.coverage import coverage_text
 from daemon.status.facts import CAMERA_CAUSES, DAY, Daemon, Disk, Facts
 from daemon.store.records import Coverage
-from daemon.text import bytes_text, coverage_text, span_text, utc_text, value_text
+from daemon.text import bytes_text, span_text, utc_text, value_text
 
 LATE_SLOTS, LOST_SLOTS = 3, 10
 """Periods without a row before that is a warning, and critical."""

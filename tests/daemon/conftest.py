@@ -19,12 +19,12 @@ from core.site import (
 )
 from daemon.clock.machine import Machine
 from daemon.control.notify import Notifier
-from daemon.control.reporting import Reporter
 from daemon.retention.guard import DiskGuard
 from daemon.retention.rules import Rules
 from daemon.schedule import Schedule
 from daemon.slots.pipeline import SlotContext
 from daemon.slots.recovery import recover
+from daemon.slots.reporting import Reporter
 from daemon.slots.runner import SlotRunner
 from daemon.store.database import open_store
 from daemon.store.frames.archive import FrameArchive

@@ -12,8 +12,8 @@ import pytest
 
 from benchmarks.memory import resident_mb
 from daemon.control.notify import Notifier
-from daemon.control.reporting import Reporter
 from daemon.slots.recovery import recover
+from daemon.slots.reporting import Reporter
 from daemon.slots.runner import SlotRunner
 from daemon.slots.supervision import ProcessSpentError
 from tests.daemon.conftest import Station

@@ -9,10 +9,10 @@ import pytest
 
 from daemon.clock.machine import BOOT_ID_VARIABLE
 from daemon.config.reading import DEFAULT_STATE_DIRECTORY
-from daemon.control.reporting import MARGIN_S
 from daemon.control.run_state import RUNTIME_DIRECTORY
 from daemon.errors import ExitCode
 from daemon.loop_cache import SHARED
+from daemon.slots.reporting import MARGIN_S
 
 USAGE, CONFIG = ExitCode.USAGE, ExitCode.CONFIG
 ROOTS = ("/var/lib", "/run", "/var/cache")
