@@ -9,13 +9,14 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.stamp-installed
 
 .DELETE_ON_ERROR:
-.PHONY: help demo test check bench clean install uninstall deb
+.PHONY: help demo test check bench picture clean install uninstall deb
 
 help:
 	@echo "make demo    calibrate, measure 60 slots and more, and compare with the truth: out/demo"
 	@echo "make test    run the tests"
 	@echo "make check   lint, types, import contracts"
 	@echo "make bench   measure time and memory: docs/benchmarks.md"
+	@echo "make picture draw docs/images/architecture.svg from the code (needs graphviz)"
 	@echo "make install install or upgrade the service, as root: /opt/dcam; make uninstall keeps data"
 	@echo "make deb     build a Debian package: dist/"
 	@echo "make clean   remove .venv and everything made here"
@@ -35,6 +36,9 @@ check: $(INSTALLED)
 
 bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks --output docs/benchmarks.md
+
+picture: $(INSTALLED)
+	$(BIN)/python docs/draw_architecture.py
 
 # Neither works in this folder's environment: each makes one of its own, with its pip.
 install: $(VENV)/.stamp-venv
