@@ -86,7 +86,7 @@ def by_dcam() -> Steadiness:
     def poses(side: str) -> list[Pose]:
         images = [GreyImage(_grey(path)) for path in _views(side)]
         found = calibrate_lens(images, board)
-        corners_mm = found.adjusted.corners_mm
+        corners_mm = found.adjustment.corners_mm
         return [board_pose(image, found.lens, board, corners_mm).fit.pose for image in images]
 
     return _steadiness(poses("left"), poses("right"), board.corners_mm.mean(axis=0))

@@ -20,7 +20,7 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.calibration.calibrate import CalibrationView, Method, ViewRole, calibrate
-from core.calibration.joint_fit import Fit, FitOptions, calibrated_site_of, fit_views
+from core.calibration.joint_fit import Fit, FitOptions, build_calibrated_site, fit_views
 from core.calibration.lens_selection import start_from_views
 from core.calibration.views import LensView, PairView, Views
 from core.checkerboard.board import Board
@@ -261,7 +261,7 @@ def calibrate_numbers(views: Views, site: Site) -> tuple[CalibratedSite, Fit]:
     options = FitOptions(site, Board.nominal(site.sub_target), Method.RIGID, skew=False)
     start, _ = start_from_views(views, options)
     fit = fit_views(views, start.lens, options)
-    return calibrated_site_of(fit, options), fit
+    return build_calibrated_site(fit, options), fit
 
 
 def run_rendered(case: Case, seed: int) -> Outcome:

@@ -11,8 +11,8 @@ from core.discs.disc_finder import Discs, find_discs
 from core.errors import ImageError, ImageSizeError, TargetNotFoundError
 from core.images import GreyImage, require_size
 from core.quality.verdicts import (
-    beyond_belief,
     flag_of,
+    is_inconsistent,
     judge_main,
     judge_motion,
     judge_sub,
@@ -22,7 +22,7 @@ from core.quality.verdicts import (
 )
 from core.results import Diagnostics, Displacement, Measurement, Reason
 from core.rig.calibrated_site import CalibratedSite
-from core.rig.compensation import Shift, corrected_displacement, raw_displacement, rig_motion
+from core.rig.compensation import CommonShift, corrected_displacement, raw_displacement, rig_motion
 from core.site import Site
 
 
@@ -59,7 +59,7 @@ def measure_pair(
     if skew_s is not None and abs(skew_s) * 1e3 > site.quality.max_skew_ms:
         reasons.append(Reason.NOT_SIMULTANEOUS)
     unique = tuple(dict.fromkeys(reasons))
-    if common is not None and beyond_belief(common, sub_seen.pose if sub_seen else None):
+    if common is not None and is_inconsistent(common, sub_seen.pose if sub_seen else None):
         raw = corrected = None
     return Measurement(
         flag_of(unique, has_value=corrected is not None),
@@ -76,7 +76,7 @@ def measure_pair(
 class _MainSeen:
     discs: Discs
     raw: Displacement
-    shift: Shift
+    shift: CommonShift
 
 
 @dataclass(frozen=True, slots=True)

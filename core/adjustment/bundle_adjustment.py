@@ -16,7 +16,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from core.adjustment.normal_equations import AdjustmentPriors, Problem, Spreads, State, System
+from core.adjustment.normal_equations import (
+    AdjustmentPriors,
+    AdjustmentProblem,
+    AdjustmentState,
+    NormalEquations,
+    PrintSpread,
+)
 from core.arrays import FloatArray
 from core.checkerboard.board import Board
 from core.checkerboard.board_shape import SHAPE_PARAMETERS, board_terms
@@ -36,7 +42,7 @@ _PSEUDO_LINES, _PSEUDO_LINE_MM = 2.0, 5e-3
 
 
 @dataclass(frozen=True, slots=True)
-class Adjusted:
+class AdjustmentResult:
     """The result of the adjustment."""
 
     lens: Lens
@@ -50,7 +56,7 @@ class Adjusted:
     """(discs, 2) correction of the discs' places in the reference, by all other views."""
     posterior: Posterior
     """Of lens, rig, first pose, the reference's discs and corners."""
-    spreads: Spreads
+    spreads: PrintSpread
     """How far this board's lines and corners are from the nominal ones."""
     scale: float
     """Ratio of the residuals to their predicted size."""
@@ -69,14 +75,14 @@ def adjust(
     start_rig: Rig | None = None,
     main_views: Sequence[MainView | None] = (),
     iterations: int = 40,
-) -> Adjusted:
+) -> AdjustmentResult:
     """Adjust everything to all views.
 
     The first view is the reference if there is a rig; main_views[v] holds the main camera's
     discs of view v, or None. Raises numpy.linalg.LinAlgError if the views determine too little.
     """
     problem, state = _begin(board, views, start_lens, start_poses, priors, start_rig, main_views)
-    spreads = Spreads(priors.line_mm, priors.line_mm, priors.corner_mm)
+    spreads = PrintSpread(priors.line_mm, priors.line_mm, priors.corner_mm)
     scale = _TOLERANT  # at first, then let the weights tighten as the fit gets good
     for _ in range(iterations):
         system = problem.linearise(state, scale, spreads)
@@ -86,14 +92,14 @@ def adjust(
         state = problem.step(state, step, offset_step)
         if sigmas < _SETTLED_SIGMAS and abs(system.scale - scale) < _SETTLED * scale:
             renewed = _renewed(spreads, problem, state, system, board.columns)
-            if spreads.like(renewed, _SPREAD_SETTLED):
+            if spreads.agrees_with(renewed, _SPREAD_SETTLED):
                 break
             spreads = renewed
         scale = system.scale
     return _adjusted(problem, state, spreads, problem.linearise(state, scale, spreads))
 
 
-def predict(
+def predict_adjustment(
     board: Board,
     views: Sequence[BoardView],
     lens: Lens,
@@ -101,8 +107,8 @@ def predict(
     priors: AdjustmentPriors,
     rig: Rig | None,
     main_views: Sequence[MainView | None],
-    spreads: Spreads,
-) -> Adjusted:
+    spreads: PrintSpread,
+) -> AdjustmentResult:
     """Say what the adjustment will know where lens, poses and rig are these: nothing is fitted.
 
     The views are those places in the images, free of noise, with the covariance that located
@@ -122,10 +128,10 @@ def _begin(
     priors: AdjustmentPriors,
     rig: Rig | None,
     main_views: Sequence[MainView | None],
-) -> tuple[Problem, State]:
+) -> tuple[AdjustmentProblem, AdjustmentState]:
     """Set up the problem, and the state it starts from: the nominal board."""
     terms = board_terms(board)
-    state = State(
+    state = AdjustmentState(
         lens,
         np.zeros(terms.shape[2]),
         np.zeros((len(board.corners_mm), 2)),
@@ -134,12 +140,17 @@ def _begin(
         board.corners_mm.copy(),
         np.zeros((len(priors.discs_px), 2)),
     )
-    return Problem(board, terms, views, state, priors, main_views), state
+    return AdjustmentProblem(board, terms, views, state, priors, main_views), state
 
 
-def _adjusted(problem: Problem, state: State, spreads: Spreads, system: System) -> Adjusted:
+def _adjusted(
+    problem: AdjustmentProblem,
+    state: AdjustmentState,
+    spreads: PrintSpread,
+    system: NormalEquations,
+) -> AdjustmentResult:
     """Put together what is told; the system is that of this state."""
-    return Adjusted(
+    return AdjustmentResult(
         state.lens,
         state.shape[:SHAPE_PARAMETERS],
         state.poses,
@@ -156,8 +167,12 @@ def _adjusted(problem: Problem, state: State, spreads: Spreads, system: System) 
 
 
 def _renewed(
-    spreads: Spreads, problem: Problem, state: State, system: System, columns: int
-) -> Spreads:
+    spreads: PrintSpread,
+    problem: AdjustmentProblem,
+    state: AdjustmentState,
+    system: NormalEquations,
+    columns: int,
+) -> PrintSpread:
     """The spreads that the fitted lines and corners speak for.
 
     sum of squares = gamma sigma^2, with gamma the number of well-determined ones:
@@ -188,4 +203,4 @@ def _line_spread(sigma_mm: float, lines_mm: FloatArray, variance_mm2: FloatArray
     return max(renewed, _LINE_FLOOR_MM)
 
 
-__all__ = ["Adjusted", "AdjustmentPriors", "Spreads", "adjust", "predict"]
+__all__ = ["AdjustmentPriors", "AdjustmentResult", "PrintSpread", "adjust", "predict_adjustment"]

@@ -45,7 +45,7 @@ class AdjustmentPriors:
 
 
 @dataclass(frozen=True, slots=True)
-class Spreads:
+class PrintSpread:
     """1-sigma departures of a print from the nominal board; 0 keeps them nominal."""
 
     column_mm: float
@@ -55,7 +55,7 @@ class Spreads:
     corner_mm: float
     """x and y of each corner, beyond its column and row."""
 
-    def like(self, other: Spreads, share: float) -> bool:
+    def agrees_with(self, other: PrintSpread, share: float) -> bool:
         """Whether all agree to this share."""
         mine = np.array([self.column_mm, self.row_mm, self.corner_mm])
         theirs = np.array([other.column_mm, other.row_mm, other.corner_mm])
@@ -63,7 +63,7 @@ class Spreads:
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class AdjustmentState:
     """Where the adjustment stands."""
 
     lens: Lens
@@ -118,7 +118,7 @@ class _Layout:
 
 
 @dataclass(slots=True)
-class System:
+class NormalEquations:
     """Normal equations, the corner offsets still apart."""
 
     dense: FloatArray
@@ -162,7 +162,7 @@ class System:
         return np.asarray(self.scale * unit[:, None] * inverse.T)
 
 
-class Problem:
+class AdjustmentProblem:
     """What stays the same over the iterations."""
 
     def __init__(
@@ -170,7 +170,7 @@ class Problem:
         board: Board,
         terms: FloatArray,
         views: Sequence[BoardView],
-        start: State,
+        start: AdjustmentState,
         priors: AdjustmentPriors,
         main_views: Sequence[MainView | None],
     ) -> None:
@@ -188,14 +188,14 @@ class Problem:
         self.sigma = sigma
 
     def linearise(
-        self, state: State, scale: float, spreads: Spreads, noise: float | None = None
-    ) -> System:
+        self, state: AdjustmentState, scale: float, spreads: PrintSpread, noise: float | None = None
+    ) -> NormalEquations:
         """Sum up what all views and priors say about a step from this state.
 
         noise is the ratio of errors to their predicted size; None estimates it.
         """
         size, corners = self.layout.size, len(self.board.corners_mm)
-        system = System(
+        system = NormalEquations(
             np.zeros((size, size)),
             np.zeros(size),
             np.zeros((corners, 2, size)),
@@ -218,7 +218,9 @@ class Problem:
         unknowns = self.layout.size + 2 * seen
         return float(np.sqrt(residuals / max(residuals - unknowns, 0.5 * residuals)))
 
-    def _add_board_view(self, system: System, state: State, v: int, scale: float) -> FloatArray:
+    def _add_board_view(
+        self, system: NormalEquations, state: AdjustmentState, v: int, scale: float
+    ) -> FloatArray:
         """Add one view's corners; their whitened residual norms come back."""
         view, layout = self.views[v], self.layout
         projected, by_pose, by_point, by_lens = pose_jacobian(
@@ -248,7 +250,7 @@ class Problem:
         system.view_rms.append(float(np.sqrt(squares.sum() / weights.sum())))
         return norm
 
-    def _add_lines(self, system: System) -> None:
+    def _add_lines(self, system: NormalEquations) -> None:
         """What the views say of a line is what they say of the offsets of all corners on it."""
         lines, size = self.layout.lines, self.layout.size
         along = self.terms[:, :2, SHAPE_PARAMETERS:]
@@ -258,7 +260,7 @@ class Problem:
         system.dense[:, lines] = system.dense[lines].T
         system.right[lines] = flat.T @ system.corner_right.ravel()
 
-    def _add_main_views(self, system: System, state: State) -> None:
+    def _add_main_views(self, system: NormalEquations, state: AdjustmentState) -> None:
         if state.rig is None:
             return
         layout, seen = self.layout, []
@@ -285,7 +287,9 @@ class Problem:
             system.dense[np.ix_(columns, columns)] += flat.T @ flat
             system.right[columns] += flat.T @ (residual * root[:, None]).ravel()
 
-    def _add_priors(self, system: System, state: State, spreads: Spreads) -> None:
+    def _add_priors(
+        self, system: NormalEquations, state: AdjustmentState, spreads: PrintSpread
+    ) -> None:
         layout = self.layout
         deviation = np.zeros(layout.size)
         deviation[layout.lens] = self.start.lens.parameters - state.lens.parameters
@@ -312,17 +316,17 @@ class Problem:
         system.corner += np.eye(2) * (system.scale / corner_sigma) ** 2
         system.corner_right -= state.offsets_mm * (system.scale / corner_sigma) ** 2
 
-    def _add_square_pixels(self, system: System, lens: Lens) -> None:
+    def _add_square_pixels(self, system: NormalEquations, lens: Lens) -> None:
         alpha, beta = lens.parameters[:2]
         slope = np.array([1.0, -1.0]) / beta * system.scale / self.square
         system.dense[:2, :2] += np.outer(slope, slope)
         system.right[:2] -= slope * (alpha / beta - 1.0) * system.scale / self.square
 
-    def line_variance(self, system: System) -> FloatArray:
+    def line_variance(self, system: NormalEquations) -> FloatArray:
         """(columns + rows,) mm^2, of the lines' places."""
         return np.asarray((system.factor()[self.layout.lines] ** 2).sum(axis=1))
 
-    def posterior(self, system: System) -> Posterior:
+    def posterior(self, system: NormalEquations) -> Posterior:
         """The joint covariance of lens, rig, first pose and corners.
 
         With F the factor of the dense unknowns, X and C the cross and corner blocks, the offsets
@@ -338,14 +342,16 @@ class Problem:
             factor[layout.lens], factor[layout.rig], factor[layout.pose(0)], discs, corners, own
         )
 
-    def step(self, state: State, step: FloatArray, offset_step: FloatArray) -> State:
+    def step(
+        self, state: AdjustmentState, step: FloatArray, offset_step: FloatArray
+    ) -> AdjustmentState:
         """The state after a step."""
         layout = self.layout
         shape = state.shape + step[layout.shape]
         offsets = state.offsets_mm + offset_step
         corners = self.board.corners_mm + self.terms @ shape
         corners[:, :2] += offsets
-        return State(
+        return AdjustmentState(
             state.lens.moved(step[layout.lens]),
             shape,
             offsets,

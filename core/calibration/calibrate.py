@@ -9,15 +9,15 @@ from typing import Any
 from core.calibration.joint_fit import (
     FitOptions,
     Method,
-    calibrated_site_of,
+    build_calibrated_site,
+    held_out_errors_mm,
+    reject_moved_targets,
     reject_outlier_views,
-    validate,
-    without_moved_targets,
 )
 from core.calibration.lens_selection import fit_chosen, start_from_views
 from core.calibration.reference_index import place_reference
 from core.calibration.report import write_report
-from core.calibration.views import CalibrationView, ViewRole, find_targets, relocate
+from core.calibration.views import CalibrationView, ViewRole, find_targets, relocate_corners
 from core.checkerboard.board import Board
 from core.errors import CalibrationError
 from core.results import CalibrationReport
@@ -74,21 +74,21 @@ def calibrate(
     seen, rejected = find_targets(views, site, options.board)
     start, outliers = start_from_views(seen, options)
     seen = seen.without({name for name, _ in outliers})
-    seen = relocate(seen, start.lens, options.board)
+    seen = relocate_corners(seen, start.lens, options.board)
     placed = place_reference(seen, start.lens, site, options.board)
     if placed is not seen:
-        seen = relocate(placed, start.lens, options.board)
+        seen = relocate_corners(placed, start.lens, options.board)
     fit, choice = fit_chosen(seen, start, options)
     fit, bad = reject_outlier_views(fit, options)
-    fit, moved = without_moved_targets(fit, options)
-    calibrated = calibrated_site_of(fit, options)
+    fit, moved = reject_moved_targets(fit, options)
+    calibrated = build_calibrated_site(fit, options)
     report = write_report(
         fit,
         calibrated,
         options,
         choice,
         [*rejected, *outliers, *bad, *moved],
-        validate(fit, options),
+        held_out_errors_mm(fit, options),
     )
     return Calibration(method, calibrated), report
 

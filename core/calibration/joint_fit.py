@@ -9,10 +9,16 @@ from enum import StrEnum
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from core.adjustment.bundle_adjustment import Adjusted, AdjustmentPriors, Spreads, adjust, predict
+from core.adjustment.bundle_adjustment import (
+    AdjustmentPriors,
+    AdjustmentResult,
+    PrintSpread,
+    adjust,
+    predict_adjustment,
+)
 from core.arrays import FloatArray
 from core.calibration.observability import drift_motions, require_motion
-from core.calibration.views import Rejected, Views
+from core.calibration.views import RejectedView, Views
 from core.checkerboard.board import Board
 from core.checkerboard.resection import resect
 from core.discs.disc_finder import Discs
@@ -24,7 +30,7 @@ from core.rig.calibrated_site import Baseline, CalibratedSite
 from core.rig.compensation import affine
 from core.rig.paper import PaperModel, fit_paper
 from core.rig.posterior import Posterior
-from core.rig.propagation import DISC_FLOOR_PX, expected_effects, predict_shift
+from core.rig.propagation import DISC_FLOOR_PX, expected_sensitivities, predict_shift
 from core.rig.rigid import MainView, Rig
 from core.site import Site
 
@@ -62,7 +68,7 @@ class Fit:
     """A fitted model of the whole site, and the views it rests on."""
 
     views: Views
-    adjusted: Adjusted
+    adjustment: AdjustmentResult
     """Its poses are in the order of `views.all`."""
     B: FloatArray
     """(2, 2) B~ of Eq. 8, px/mm."""
@@ -73,12 +79,12 @@ class Fit:
     @property
     def reference_pose(self) -> Pose:
         """`T_CS1_WS`."""
-        return self.adjusted.poses[0]
+        return self.adjustment.poses[0]
 
     @property
     def motions(self) -> list[Pose]:
         """`T_CSj_CS1` of the rig views, Eq. 12."""
-        poses = self.adjusted.poses[1 : 1 + len(self.views.rig)]
+        poses = self.adjustment.poses[1 : 1 + len(self.views.rig)]
         return [pose.compose(self.reference_pose.inverse()) for pose in poses]
 
 
@@ -93,7 +99,7 @@ def fit_views(views: Views, start: Lens, options: FitOptions) -> Fit:
 
 
 def predict_fit(
-    views: Views, lens: Lens, poses: Sequence[Pose], options: FitOptions, spreads: Spreads
+    views: Views, lens: Lens, poses: Sequence[Pose], options: FitOptions, spreads: PrintSpread
 ) -> Fit:
     """Say what a fit of the rigid model to such views will know; views, lens and poses are exact.
 
@@ -116,7 +122,7 @@ def _fit_rigid(
     poses: Sequence[Pose],
     B: FloatArray,
     options: FitOptions,
-    predicted: Spreads | None = None,
+    predicted: PrintSpread | None = None,
 ) -> Fit:
     """Everything jointly, the survey as prior; with predicted spreads nothing is moved."""
     site, reference = options.site, views.reference.discs
@@ -127,8 +133,8 @@ def _fit_rigid(
     )
     main = [None, *(main_view(v.discs, reference) for v in views.rig), *(None for _ in views.lens)]
     boards = [v.board.view for v in views.all]
-    given = options.board, boards, start, poses, priors, drawn_rig(site, B), main
-    adjusted = adjust(*given) if predicted is None else predict(*given, predicted)
+    given = options.board, boards, start, poses, priors, nominal_rig(site, B), main
+    adjusted = adjust(*given) if predicted is None else predict_adjustment(*given, predicted)
     if adjusted.rig is None:
         msg = "calibration: the rig views show too little of the main target"
         raise CalibrationError(msg)
@@ -156,7 +162,7 @@ def _fit_paper(
         if main is not None:
             motions.append(pose.compose(adjusted.poses[0].inverse()))
             shifts.append((main.points_px - main.reference_px).mean(axis=0))
-    drawn = drawn_rig(options.site, B)
+    drawn = nominal_rig(options.site, B)
     middle = reference.points_px[reference.found].mean(axis=0)
     p_CS1 = drawn.T_CM_CS.inverse().apply(drawn.target_points_CM1(middle[None]))[0]
     start_B = drawn.scale_px_per_mm * drawn.T_CM_CS.R[:2]
@@ -165,7 +171,7 @@ def _fit_paper(
     return Fit(views, adjusted, B, model, posterior)
 
 
-def drawn_rig(site: Site, B: FloatArray) -> Rig:
+def nominal_rig(site: Site, B: FloatArray) -> Rig:
     """The rig as drawn, with the scale measured on the target (largest singular value of B~)."""
     angles = site.rig.rotation_main_sub_deg
     return Rig(
@@ -206,7 +212,7 @@ def disc_sigmas_px(discs: Discs) -> FloatArray:
     return np.asarray(np.where(discs.found, np.sqrt(variance), 0.0))
 
 
-def main_misses_px(
+def main_residuals_px(
     model: Rig | PaperModel, discs: Discs, reference: Discs, motion: Pose
 ) -> FloatArray:
     """Discs of a target at rest minus their prediction, (k, 2) px."""
@@ -217,11 +223,11 @@ def main_misses_px(
     return np.asarray(main.points_px - main.reference_px - shift)
 
 
-def reject_outlier_views(fit: Fit, options: FitOptions) -> tuple[Fit, list[Rejected]]:
+def reject_outlier_views(fit: Fit, options: FitOptions) -> tuple[Fit, list[RejectedView]]:
     """Fit again without the views whose corners fit far worse than the others'."""
-    rms = np.array(fit.adjusted.view_rms_px)
+    rms = np.array(fit.adjustment.view_rms_px)
     typical = float(np.median(rms))
-    kept = np.array(fit.adjusted.view_kept)
+    kept = np.array(fit.adjustment.view_kept)
     bad = (rms > _MISFIT_FACTOR * max(typical, _MISFIT_FLOOR_PX)) | (kept < _MISFIT_KEPT)
     if not bad.any():
         return fit, []
@@ -243,15 +249,15 @@ def reject_outlier_views(fit: Fit, options: FitOptions) -> tuple[Fit, list[Rejec
         if is_bad
     ]
     others = fit.views.without({name for name, _ in rejected})
-    return fit_views(others, fit.adjusted.lens, options), rejected
+    return fit_views(others, fit.adjustment.lens, options), rejected
 
 
-def without_moved_targets(fit: Fit, options: FitOptions) -> tuple[Fit, list[Rejected]]:
+def reject_moved_targets(fit: Fit, options: FitOptions) -> tuple[Fit, list[RejectedView]]:
     """Fit again without the rig views in which the main target was not where it rested."""
     reference = fit.views.reference.discs
     off = np.array(
         [
-            np.hypot(*main_misses_px(fit.model, v.discs, reference, m).mean(axis=0))
+            np.hypot(*main_residuals_px(fit.model, v.discs, reference, m).mean(axis=0))
             if main_view(v.discs, reference)
             else 0.0
             for v, m in zip(fit.views.rig, fit.motions, strict=True)
@@ -267,14 +273,14 @@ def without_moved_targets(fit: Fit, options: FitOptions) -> tuple[Fit, list[Reje
         if is_bad
     ]
     others = fit.views.without({name for name, _ in rejected})
-    return fit_views(others, fit.adjusted.lens, options), rejected
+    return fit_views(others, fit.adjustment.lens, options), rejected
 
 
-def calibrated_site_of(fit: Fit, options: FitOptions) -> CalibratedSite:
+def build_calibrated_site(fit: Fit, options: FitOptions) -> CalibratedSite:
     """What measurements need of a fit."""
-    calibrated = whole_calibrated_site(fit, options)
+    calibrated = build_uncompressed_site(fit, options)
     effects_px = [
-        expected_effects(calibrated, options.site.sub, motion)[0].propagate(fit.posterior)
+        expected_sensitivities(calibrated, options.site.sub, motion)[0].propagate(fit.posterior)
         for motion in (*fit.motions, *drift_motions(options.site.quality))
     ]
     seen = fit.views.reference.discs.found
@@ -282,11 +288,11 @@ def calibrated_site_of(fit: Fit, options: FitOptions) -> CalibratedSite:
     return replace(calibrated, posterior=fit.posterior.compressed(np.concatenate(effects_px)))
 
 
-def whole_calibrated_site(fit: Fit, options: FitOptions) -> CalibratedSite:
+def build_uncompressed_site(fit: Fit, options: FitOptions) -> CalibratedSite:
     """Likewise with all that the fit knows, what no measurement needs included."""
     reference = fit.views.reference
     baseline = Baseline(
-        float(np.median(fit.adjusted.view_rms_px)),
+        float(np.median(fit.adjustment.view_rms_px)),
         # By single frames, as rows are; the reference may be a mean of many, in finer grey values.
         *_typical([(v.board.contrast_dn, v.board.blur_px) for v in fit.views.rig]),
         *_typical([(v.discs.contrast_dn, v.discs.blur_px) for v in fit.views.rig]),
@@ -295,10 +301,10 @@ def whole_calibrated_site(fit: Fit, options: FitOptions) -> CalibratedSite:
     )
     return CalibratedSite(
         options.board,
-        fit.adjusted.corners_mm,
-        fit.adjusted.lens,
+        fit.adjustment.corners_mm,
+        fit.adjustment.lens,
         fit.reference_pose,
-        reference.discs.points_px + fit.adjusted.discs_px,
+        reference.discs.points_px + fit.adjustment.discs_px,
         fit.B,
         fit.model,
         fit.posterior,
@@ -311,7 +317,7 @@ def _typical(contrast_and_blur: Sequence[tuple[float, float]]) -> tuple[float, f
     return float(contrast_dn), float(blur_px)
 
 
-def validate(fit: Fit, options: FitOptions) -> FloatArray:
+def held_out_errors_mm(fit: Fit, options: FitOptions) -> FloatArray:
     """Errors (n, 2) mm at rig positions held out of a second fit; the target was at rest.
 
     Empty if too few positions would be left to fit to.
@@ -319,14 +325,14 @@ def validate(fit: Fit, options: FitOptions) -> FloatArray:
     held = fit.views.rig[1::_HOLD_OUT_EVERY]
     try:
         kept = fit.views.without({view.name for view in held})
-        trial = fit_views(kept, fit.adjusted.lens, options)
+        trial = fit_views(kept, fit.adjustment.lens, options)
     except CalibrationError:
         return np.zeros((0, 2))
     errors = []
     for view in held:
-        pose = resect(trial.adjusted.lens, trial.adjusted.corners_mm, view.board.view).pose
+        pose = resect(trial.adjustment.lens, trial.adjustment.corners_mm, view.board.view).pose
         motion = pose.compose(trial.reference_pose.inverse())
-        misses = main_misses_px(trial.model, view.discs, fit.views.reference.discs, motion)
+        misses = main_residuals_px(trial.model, view.discs, fit.views.reference.discs, motion)
         if len(misses):
             errors.append(np.linalg.solve(trial.B, misses.mean(axis=0)))
     return np.array(errors).reshape(-1, 2)

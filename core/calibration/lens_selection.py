@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from core.calibration.joint_fit import MIN_LENS_VIEWS, Fit, FitOptions, fit_views
-from core.calibration.views import LensView, Rejected, Views
+from core.calibration.views import LensView, RejectedView, Views
 from core.errors import CalibrationError
 from core.lens.lens_choice import LensChoice, choose_lens
 from core.lens.lens_start import StartLens, start_lens
 
 
-def start_from_views(views: Views, options: FitOptions) -> tuple[StartLens, list[Rejected]]:
+def start_from_views(views: Views, options: FitOptions) -> tuple[StartLens, list[RejectedView]]:
     """A lens to start from, and the lens views that do not fit.
 
     Without three lens views the rig views must do; they determine the focal length poorly.
@@ -41,11 +41,11 @@ def fit_chosen(views: Views, start: StartLens, options: FitOptions) -> tuple[Fit
     """Fit with the lens model that predicts held-out views best, on the board as fitted."""
     fit = fit_views(views, start.lens, options)
     choice = _choice(fit, options)
-    if choice.lens.model is fit.adjusted.lens.model:
+    if choice.lens.model is fit.adjustment.lens.model:
         return fit, choice
     fit = fit_views(views, choice.lens, options)
     again = _choice(fit, options)  # the board is another now, too
-    return fit, again if again.lens.model is fit.adjusted.lens.model else choice
+    return fit, again if again.lens.model is fit.adjustment.lens.model else choice
 
 
 def _choice(fit: Fit, options: FitOptions) -> LensChoice:
@@ -53,9 +53,9 @@ def _choice(fit: Fit, options: FitOptions) -> LensChoice:
     among = {view.name for view in _views_of_lens(fit.views)}
     own = [k for k, view in enumerate(fit.views.all) if view.name in among]
     return choose_lens(
-        fit.adjusted.lens,
-        fit.adjusted.corners_mm,
+        fit.adjustment.lens,
+        fit.adjustment.corners_mm,
         [fit.views.all[k].board.view for k in own],
-        [fit.adjusted.poses[k] for k in own],
+        [fit.adjustment.poses[k] for k in own],
         options.site.lens_model,
     )

@@ -13,7 +13,7 @@ from core.geometry.pose import Pose
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.paper import PaperModel
 from core.rig.posterior import Posterior
-from core.rig.propagation import expected_effects
+from core.rig.propagation import expected_sensitivities
 from core.rig.rigid import Rig
 from core.site import QualityLimits, Site
 
@@ -122,9 +122,11 @@ class _Expected:
 
 
 def _expect(calibrated: CalibratedSite, site: Site, motion: Pose) -> _Expected:
-    effects, noise = expected_effects(calibrated, site.sub, motion)
+    sensitivities, noise = expected_sensitivities(calibrated, site.sub, motion)
     return _Expected(
-        effects.propagate(calibrated.posterior), effects.own(calibrated.posterior), noise
+        sensitivities.propagate(calibrated.posterior),
+        sensitivities.own(calibrated.posterior),
+        noise,
     )
 
 
@@ -140,7 +142,7 @@ _FURTHER: tuple[tuple[str, int, float | None], ...] = (
 _WORTHWHILE = 0.85
 
 
-def further_motion(calibrated: CalibratedSite, site: Site) -> str | None:
+def suggest_motion(calibrated: CalibratedSite, site: Site) -> str | None:
     """Say which further motion would sharpen the worst drift correction most, or None.
 
     Each candidate is added to the calibration as two positions either way, seen as the rows
@@ -185,7 +187,7 @@ def determined_share(posterior: Posterior, prior_sigma: FloatArray) -> FloatArra
     return np.asarray(np.clip(1.0 - (posterior.model_sigma / prior_sigma) ** 2, 0.0, 1.0))
 
 
-def model_sentence(model: Rig | PaperModel) -> str:
+def describe_model(model: Rig | PaperModel) -> str:
     """One sentence on what the fit left open."""
     if isinstance(model, Rig):
         return (

@@ -33,7 +33,7 @@ def place_reference(views: Views, lens: Lens, site: Site, board: Board) -> Views
     lens, corners_mm = _as_printed(known, lens, site, board)
     seen = views.reference.board.view
     places = [replace(seen, index=index) for index in _places(seen.index, board)]
-    outliers = [resect(lens, corners_mm, place).plain_rms_px for place in places]
+    outliers = [resect(lens, corners_mm, place).median_rms_px for place in places]
     order = np.argsort(outliers)
     if len(order) > 1 and outliers[order[1]] < _CLEARLY_BETTER * outliers[order[0]]:
         return views

@@ -12,18 +12,18 @@ from core.calibration.joint_fit import (
     MIN_LENS_VIEWS,
     Fit,
     FitOptions,
-    drawn_rig,
-    main_misses_px,
+    main_residuals_px,
+    nominal_rig,
     rig_prior,
 )
 from core.calibration.observability import (
     DriftError,
+    describe_model,
     determined_share,
     drift_errors,
-    further_motion,
-    model_sentence,
+    suggest_motion,
 )
-from core.calibration.views import Rejected
+from core.calibration.views import RejectedView
 from core.checkerboard.resection import resect
 from core.lens.lens_choice import LensChoice
 from core.lens.lens_coverage import lens_coverage
@@ -44,7 +44,7 @@ def write_report(
     calibrated: CalibratedSite,
     options: FitOptions,
     choice: LensChoice,
-    rejected: Sequence[Rejected],
+    rejected: Sequence[RejectedView],
     held_out: FloatArray,
 ) -> CalibrationReport:
     """Judge a calibration. held_out (n, 2) are the errors in mm at held-out positions."""
@@ -67,12 +67,12 @@ def write_report(
             f"{figures['main_rms_px']:.4f} px rms"
         ),
         choice.sentence,
-        model_sentence(calibrated.model),
+        describe_model(calibrated.model),
         "expected error of a row after the drift expected (1 sigma, in brackets the calibration's "
         "part): "
         + ", ".join(f"{d.motion} {d.sigma_mm:.3f} mm ({d.calibration_mm:.3f})" for d in drift),
     ]
-    advice = further_motion(calibrated, options.site)
+    advice = suggest_motion(calibrated, options.site)
     if advice is not None:
         lines.append(advice)
     if len(held_out):
@@ -125,7 +125,7 @@ def _contradictions(calibrated: CalibratedSite, options: FitOptions) -> list[str
     if not isinstance(calibrated.model, Rig):
         return []
     site = options.site
-    drawn = drawn_rig(site, calibrated.B)
+    drawn = nominal_rig(site, calibrated.B)
     sigmas = np.abs(calibrated.model.deviation_from(drawn)) / rig_prior(site)
     turn, offset = float(np.linalg.norm(sigmas[:3])), float(np.linalg.norm(sigmas[3:6]))
     distance, scale = float(sigmas[6]), float(sigmas[7])
@@ -172,7 +172,7 @@ def _figures(
 ) -> dict[str, Any]:
     reference = fit.views.reference.discs
     misses = [
-        main_misses_px(calibrated.model, view.discs, reference, motion)
+        main_residuals_px(calibrated.model, view.discs, reference, motion)
         for view, motion in zip(fit.views.rig, fit.motions, strict=True)
     ]
     site = options.site
@@ -183,17 +183,17 @@ def _figures(
         "main_rms_px": float(np.sqrt(np.mean(np.concatenate(misses) ** 2))),
         "view_rms_px": {
             v.name: round(r, 5)
-            for v, r in zip(fit.views.all, fit.adjusted.view_rms_px, strict=True)
+            for v, r in zip(fit.views.all, fit.adjustment.view_rms_px, strict=True)
         },
         "lens_model": calibrated.lens.model.value,
         "lens": calibrated.lens.parameters.tolist(),
         "lens_sigma": fit.posterior.lens_sigma.tolist(),
-        "board_scale": fit.adjusted.shape[:2].tolist(),
+        "board_scale": fit.adjustment.shape[:2].tolist(),
         "board_bow_mm": float(np.ptp(calibrated.corners_mm[:, 2])),
         "board_spread_mm": {
-            "columns": fit.adjusted.spreads.column_mm,
-            "rows": fit.adjusted.spreads.row_mm,
-            "corners": fit.adjusted.spreads.corner_mm,
+            "columns": fit.adjustment.spreads.column_mm,
+            "rows": fit.adjustment.spreads.row_mm,
+            "corners": fit.adjustment.spreads.corner_mm,
         },
         "px_per_mm": float(np.linalg.svd(calibrated.B, compute_uv=False)[0]),
         "expected_error_mm": {d.motion: d.sigma_mm for d in drift},
@@ -221,7 +221,7 @@ def _rig_views(fit: Fit, calibrated: CalibratedSite) -> list[dict[str, Any]]:
     for view in fit.views.rig:
         pose = resect(calibrated.lens, calibrated.corners_mm, view.board.view).pose
         motion = pose.compose(calibrated.reference_pose.inverse())
-        left_px = main_misses_px(calibrated.model, view.discs, reference, motion).mean(axis=0)
+        left_px = main_residuals_px(calibrated.model, view.discs, reference, motion).mean(axis=0)
         positions.append(
             {
                 "view": view.name,
@@ -237,6 +237,6 @@ def _image_cells(fit: Fit, site: Site) -> list[list[int]]:
     """How many corners the views of the lens have in each cell of the sub image."""
     lens_views = fit.views.lens
     points = [view.board.view.points_px for view in lens_views]
-    poses = fit.adjusted.poses[len(fit.views.all) - len(lens_views) :]
+    poses = fit.adjustment.poses[len(fit.views.all) - len(lens_views) :]
     cells: list[list[int]] = lens_coverage(points, poses, site.sub).cells.tolist()
     return cells

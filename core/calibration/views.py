@@ -73,13 +73,13 @@ class Views:
         )
 
 
-Rejected = tuple[str, str]
+RejectedView = tuple[str, str]
 """The name of a view that is not used, and the reason."""
 
 
 def find_targets(
     views: Sequence[CalibrationView], site: Site, board: Board
-) -> tuple[Views, list[Rejected]]:
+) -> tuple[Views, list[RejectedView]]:
     """Find the targets in all views; rig and lens views without them are rejected.
 
     Raises CalibrationError if there is not exactly one reference, if it shows too little, or if
@@ -91,7 +91,7 @@ def find_targets(
         raise CalibrationError(msg)
     rig: list[PairView] = []
     lens: list[LensView] = []
-    rejected: list[Rejected] = []
+    rejected: list[RejectedView] = []
     for view in views:
         try:
             if view.role is ViewRole.RIG:
@@ -130,7 +130,7 @@ def _look_at_both(view: CalibrationView, site: Site, board: Board) -> PairView:
     return PairView(seen.name, seen.sub, seen.board, discs)
 
 
-def relocate(views: Views, lens: Lens, board: Board) -> Views:
+def relocate_corners(views: Views, lens: Lens, board: Board) -> Views:
     """Locate all corners again, now that the lens is known.
 
     Where the border does not tell which corners a rig view shows, the reference does.

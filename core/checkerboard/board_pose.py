@@ -28,7 +28,7 @@ def board_pose(
 ) -> SeenBoard:
     """Find a board and fit its pose; a part of it may be outside the image or hidden.
 
-    corners_mm (m, 3) is the board as calibrated (`LensCalibration.adjusted.corners_mm`); without
+    corners_mm (m, 3) is the board as calibrated (`LensCalibration.adjustment.corners_mm`); without
     it the board is taken as drawn. Raises TargetNotFoundError, also where the border of the
     board and the colour of its squares leave open which of its corners are seen.
     """

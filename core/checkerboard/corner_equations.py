@@ -45,7 +45,7 @@ def _edge(distance: Any, per_blur: Any) -> tuple[Any, Any, Any]:
 
 
 @compiled
-def sum_up(
+def accumulate(
     samples: FloatArray, count: int, c: FloatArray, normal: FloatArray, right: FloatArray
 ) -> tuple[float, float]:
     """Weighted normal equations (lower half) of samples (u, v, grey, pixels).
@@ -131,10 +131,10 @@ def sum_up(
 
 
 @compiled
-def sum_up_even(
+def accumulate_even(
     samples: FloatArray, count: int, c: FloatArray, normal: FloatArray, right: FloatArray
 ) -> float:
-    """As `sum_up`, the slopes of offset and gain being known, every pixel counting in full.
+    """As `accumulate`, the slopes of offset and gain being known, every pixel counting in full.
 
     Fills (5, 5) and (5,) for offset, gain, blur and shift; gives the weighted sum of squares.
     """

@@ -14,11 +14,11 @@ from core.checkerboard.corner_equations import (
     GAIN,
     SCALARS,
     SHIFT,
+    accumulate,
+    accumulate_even,
     flat_noise,
-    sum_up,
-    sum_up_even,
 )
-from core.checkerboard.light_kernels import BOX, light_about
+from core.checkerboard.light_kernels import BOX, fit_light_planes
 from core.compiled import compiled
 from core.grey_fit import MIN_PIXELS, solve_spd
 from core.images import PixelArray
@@ -204,7 +204,7 @@ def fit_corners(
         usable, squares, effective_count = True, 0.0, 0.0
         for turn in range(iterations):
             _pack(p, blurs[k], noise, limits[3], noise[4] if turn > 0 else 0.0, c)
-            squares, effective_count = sum_up(samples, padded, c, normal, right)
+            squares, effective_count = accumulate(samples, padded, c, normal, right)
             factor[:, :] = normal
             step[:] = right
             usable = solve_spd(factor, step, n)
@@ -255,7 +255,9 @@ def fit_even_corners(
     for k in range(len(points)):
         m, p = maps[k], state[k]
         figures[k, :] = 0.0
-        if not light_about(boxes, points[k], m, limits[2], 0.99 * limits[3], noise, parts, planes):
+        if not fit_light_planes(
+            boxes, points[k], m, limits[2], 0.99 * limits[3], noise, parts, planes
+        ):
             continue
         _edges_in_px(m, c)
         bounds[4] = math.sqrt(m[0, 0] * m[0, 0] + m[0, 1] * m[0, 1])
@@ -272,7 +274,7 @@ def fit_even_corners(
         usable, squares = True, 0.0
         for _ in range(iterations):
             _pack(p, blurs[k], noise, limits[3], 0.0, c)
-            squares = sum_up_even(samples, padded, c, normal, right)
+            squares = accumulate_even(samples, padded, c, normal, right)
             factor[:, :] = normal
             step[:] = right
             usable = solve_spd(factor, step, n)

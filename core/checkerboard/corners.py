@@ -10,10 +10,16 @@ import numpy as np
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.checkerboard.board import Board
 from core.checkerboard.corner_fit import CORNER_REACH_SQUARES, CornerFits, locate_corners, shrink
-from core.checkerboard.lattice import Lattice, NamedLattice, join, name_near, name_on_board
+from core.checkerboard.lattice import (
+    IndexedLattice,
+    Lattice,
+    build_lattice,
+    index_by_borders,
+    index_near,
+)
 from core.checkerboard.map_kernels import TERMS, fit_maps
 from core.checkerboard.resection import MIN_CORNERS, BoardView, resect
-from core.checkerboard.saddle_points import find_saddles
+from core.checkerboard.saddle_points import find_saddle_points
 from core.checkerboard.spurious_lines import without_spurious_lines
 from core.errors import TargetNotFoundError
 from core.geometry.lens import Lens
@@ -65,13 +71,13 @@ def detect_board(image: GreyImage, board: Board) -> LocatedBoard:
     Raises TargetNotFoundError.
     """
     height, width = image.pixels.shape
-    named = name_on_board(_lattice(image), board, width, height)
-    maps = np.zeros((len(named.index), 2, 5))
-    maps[:, :, :2] = np.linalg.inv(named.steps_px)
-    square_px = float(np.median(np.linalg.norm(named.steps_px, axis=1)))
+    indexed = index_by_borders(_lattice(image), board, width, height)
+    maps = np.zeros((len(indexed.index), 2, 5))
+    maps[:, :, :2] = np.linalg.inv(indexed.steps_px)
+    square_px = float(np.median(np.linalg.norm(indexed.steps_px, axis=1)))
     reach = float(np.clip(_FIRST_REACH_PX / square_px, _FIRST_REACH_SQUARES, CORNER_REACH_SQUARES))
-    fits = locate_corners(image.pixels, image.saturation_dn, named.points_px, maps, reach)
-    return _located(named.index, fits, None, unambiguous=named.unambiguous)
+    fits = locate_corners(image.pixels, image.saturation_dn, indexed.points_px, maps, reach)
+    return _located(indexed.index, fits, None, unambiguous=indexed.unambiguous)
 
 
 def locate_board(
@@ -88,14 +94,16 @@ def locate_board(
     inside = (expected_px > 0.0).all(axis=1) & (expected_px < [width, height]).all(axis=1)
     square_px = lens.parameters[0] * board.square_mm / expected.t_mm[2]
     lattice = _lattice(image, square_px, int(inside.sum()))
-    candidates = name_near(lattice, board, width, height, expected_px)
+    candidates = index_near(lattice, board, width, height, expected_px)
     tried = []
-    for named in candidates:
-        pose = _rough_pose(lens, corners_mm, named, expected)
-        located = refine_board(image, lens, pose, board, corners_mm, unambiguous=named.unambiguous)
+    for indexed in candidates:
+        pose = _rough_pose(lens, corners_mm, indexed, expected)
+        located = refine_board(
+            image, lens, pose, board, corners_mm, unambiguous=indexed.unambiguous
+        )
         if len(candidates) == 1:
             return located
-        tried.append((resect(lens, corners_mm, located.view, pose).plain_rms_px, located))
+        tried.append((resect(lens, corners_mm, located.view, pose).median_rms_px, located))
     nearest = tried[0][1]
     tried.sort(key=lambda attempt: attempt[0])
     if tried[1][0] > _CLEARLY_BETTER * tried[0][0]:
@@ -103,14 +111,18 @@ def locate_board(
     return nearest
 
 
-def _rough_pose(lens: Lens, corners_mm: FloatArray, named: NamedLattice, expected: Pose) -> Pose:
+def _rough_pose(
+    lens: Lens, corners_mm: FloatArray, indexed: IndexedLattice, expected: Pose
+) -> Pose:
     """Pose from corners that are right to some hundredths of a pixel."""
-    covariance = np.broadcast_to(0.05**2 * np.eye(2), (len(named.index), 2, 2))
-    view = BoardView(named.index, named.points_px, covariance)
+    covariance = np.broadcast_to(0.05**2 * np.eye(2), (len(indexed.index), 2, 2))
+    view = BoardView(indexed.index, indexed.points_px, covariance)
     found = resect(lens, corners_mm, view, expected, settled=_ROUGHLY)
-    step_px = float(np.median(np.linalg.norm(named.steps_px, axis=1)))
-    if found.plain_rms_px > _ROUGH_MISFIT_SQUARES * step_px:
-        msg = f"sub target: what looks like a board does not fit it, by {found.plain_rms_px:.1f} px"
+    step_px = float(np.median(np.linalg.norm(indexed.steps_px, axis=1)))
+    if found.median_rms_px > _ROUGH_MISFIT_SQUARES * step_px:
+        msg = (
+            f"sub target: what looks like a board does not fit it, by {found.median_rms_px:.1f} px"
+        )
         raise TargetNotFoundError(msg)
     return found.pose
 
@@ -150,9 +162,9 @@ def _lattice(image: GreyImage, square_px: float = 0.0, wanted: int = 0) -> Latti
         if factor > 1 and square_px < factor * _LEAST_SQUARE_PX:
             continue
         try:
-            saddles = find_saddles(_shrunk(image, factor))
+            saddles = find_saddle_points(_shrunk(image, factor))
             points = factor * saddles.points_px + 0.5 * (factor - 1)
-            found = join(
+            found = build_lattice(
                 replace(saddles, points_px=points), max(_BLIND_PX, _BLIND_SHRUNK_PX * factor)
             )
             lattice = without_spurious_lines(found, width, height)

@@ -43,12 +43,12 @@ class GreyNoise:
     most_dn2: float
 
     @classmethod
-    def alike(cls, variance_dn2: float) -> GreyNoise:
+    def constant(cls, variance_dn2: float) -> GreyNoise:
         """Noise that is the same in white and in black."""
         return cls(variance_dn2, 0.0, variance_dn2, variance_dn2)
 
     @classmethod
-    def between(cls, greys_dn: FloatArray, variances_dn2: FloatArray) -> GreyNoise:
+    def through(cls, greys_dn: FloatArray, variances_dn2: FloatArray) -> GreyNoise:
         """Through the variances (2,) at two grey values (2,)."""
         most = max(float(variances_dn2.max()), _ROUNDING_DN2)
         dark, bright = np.maximum(variances_dn2, max(most / _MOST_RATIO, _ROUNDING_DN2))
@@ -91,7 +91,7 @@ def estimate_noise(
 ) -> NoiseEstimate:
     """Fit some corners, every pixel alike, from predictions that may be off by a pixel or so."""
     n = len(points_px)
-    some = _some(n)
+    some = _sample_indices(n)
     state, information = np.zeros((n, CORNER_PARAMETERS)), np.zeros((n, 2, 2))
     figures, sides = np.zeros((n, 3)), np.zeros((n, 2, 3))
     limits = np.array([reach_squares, _BAND_PX, 0.0, saturation_dn])
@@ -101,27 +101,29 @@ def estimate_noise(
     )  # fmt: skip
     some = some[figures[some, 2] > 0]
     if len(some) == 0:
-        noise = GreyNoise.alike(1.0)
+        noise = GreyNoise.constant(1.0)
         return NoiseEstimate(points_px, _no_slopes(n, 1.0), noise, 1.0, noise.weights(0.0))
-    noise, noise_dn = _noise(state[some], sides[some], figures[some])
+    noise, noise_dn = _noise_of_sample(state[some], sides[some], figures[some])
     shift_px, blur_px = _fields(points_px, some, state[some, BLUR:])
     contrast_dn = 2.0 * float(np.median(np.abs(state[some, GAIN])))
     return NoiseEstimate(points_px + shift_px, blur_px, noise, noise_dn, noise.weights(contrast_dn))
 
 
-def _noise(state: FloatArray, sides: FloatArray, figures: FloatArray) -> tuple[GreyNoise, float]:
+def _noise_of_sample(
+    state: FloatArray, sides: FloatArray, figures: FloatArray
+) -> tuple[GreyNoise, float]:
     """Median of what the corners' dark and bright pixels off the edges say, and the rms of both."""
     sides = np.where((state[:, GAIN] > 0.0)[:, None, None], sides, sides[:, ::-1])
     enough = (sides[:, :, 0] >= _FEWEST_FLAT).all(axis=1)
     if enough.sum() < _FEWEST_CORNERS:
         variance = float(np.median(figures[:, 0] / figures[:, 1])) + _ROUNDING_DN2
-        return GreyNoise.alike(variance), float(np.sqrt(variance))
+        return GreyNoise.constant(variance), float(np.sqrt(variance))
     means = sides[enough, :, 1:] / sides[enough, :, :1]
     greys, variances = np.median(means[:, :, 0], axis=0), np.median(means[:, :, 1], axis=0)
     rms_dn = float(np.sqrt(max(variances.mean(), _ROUNDING_DN2)))
     if not greys[1] > greys[0]:
-        return GreyNoise.alike(rms_dn**2), rms_dn
-    return GreyNoise.between(greys, variances), rms_dn
+        return GreyNoise.constant(rms_dn**2), rms_dn
+    return GreyNoise.through(greys, variances), rms_dn
 
 
 def _fields(
@@ -159,7 +161,7 @@ def _no_slopes(n: int, blur_px: float) -> FloatArray:
     return np.tile([blur_px, 0.0, 0.0], (n, 1))
 
 
-def _some(n: int) -> IntArray:
+def _sample_indices(n: int) -> IntArray:
     """Indices of some of n corners, evenly spread and not along lines of the board."""
     step = max(round(_GOLDEN * n), 1)
     while math.gcd(step, n) > 1:

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.checkerboard.board import Board
 from core.checkerboard.lattice_kernels import keep_mutual, largest_component, link_arms
-from core.checkerboard.saddle_points import Saddles
+from core.checkerboard.saddle_points import SaddlePoints
 from core.errors import TargetNotFoundError
 
 _NEIGHBOURS = 13
@@ -32,7 +32,7 @@ class Lattice:
     """Corners nearer than this to the edge of the image were not looked for."""
 
 
-def join(saddles: Saddles, blind_px: float = _BLIND_PX) -> Lattice:
+def build_lattice(saddles: SaddlePoints, blind_px: float = _BLIND_PX) -> Lattice:
     """Join saddles into the largest lattice. Raises TargetNotFoundError."""
     if len(saddles.points_px) < _MIN_CORNERS:
         msg = f"no checkerboard: only {len(saddles.points_px)} corner candidates in the image"
@@ -45,7 +45,7 @@ def join(saddles: Saddles, blind_px: float = _BLIND_PX) -> Lattice:
     return replace(_upright(index, labels, saddles, arms), blind_px=blind_px)
 
 
-def _links(saddles: Saddles) -> tuple[FloatArray, IntArray]:
+def _links(saddles: SaddlePoints) -> tuple[FloatArray, IntArray]:
     """Arms (n, 4, 2), clockwise, and for each arm the saddle it leads to (n, 4), or -1."""
     points = saddles.points_px
     n = len(points)
@@ -61,7 +61,7 @@ def _links(saddles: Saddles) -> tuple[FloatArray, IntArray]:
     return arms, mutual
 
 
-def _upright(index: IntArray, labels: IntArray, saddles: Saddles, arms: FloatArray) -> Lattice:
+def _upright(index: IntArray, labels: IntArray, saddles: SaddlePoints, arms: FloatArray) -> Lattice:
     """Turn the lattice by quarter turns until +i points to the right."""
     ij, first_arm = labels[:, :2], labels[:, 2]
     rightness = [arms[index, (first_arm + quarter) % 4, 0].mean() for quarter in range(4)]
@@ -79,7 +79,7 @@ def _upright(index: IntArray, labels: IntArray, saddles: Saddles, arms: FloatArr
 
 
 @dataclass(frozen=True, slots=True)
-class NamedLattice:
+class IndexedLattice:
     """Corners of a lattice with their index on the board."""
 
     index: IntArray
@@ -92,7 +92,9 @@ class NamedLattice:
     """False if another position on the board would fit as well."""
 
 
-def name_on_board(lattice: Lattice, board: Board, width_px: int, height_px: int) -> NamedLattice:
+def index_by_borders(
+    lattice: Lattice, board: Board, width_px: int, height_px: int
+) -> IndexedLattice:
     """Find which corners of the board a lattice shows, from its parity and the board's border.
 
     Where several positions remain, the middle one is taken and `certain` is False. Turns by
@@ -103,13 +105,13 @@ def name_on_board(lattice: Lattice, board: Board, width_px: int, height_px: int)
         turned = _turned(lattice, quarter)
         places = _at_borders(turned, board, _places(turned, board), width_px, height_px)
         if places:
-            return _named(turned, board, places[len(places) // 2], unambiguous=len(places) == 1)
+            return _indexed(turned, board, places[len(places) // 2], unambiguous=len(places) == 1)
     raise TargetNotFoundError(_no_place(lattice, board))
 
 
-def name_near(
+def index_near(
     lattice: Lattice, board: Board, width_px: int, height_px: int, expected_px: FloatArray
-) -> tuple[NamedLattice, ...]:
+) -> tuple[IndexedLattice, ...]:
     """Give the places that a lattice may have on the board, the nearest to a prediction first.
 
     expected_px (corners, 2) is the predicted image of all corners. One place comes back, and is
@@ -132,15 +134,15 @@ def name_near(
     if len(places) > 1 and len(bordered) != 1 and away[places[0]] > 0.5 * away[places[1]]:
         candidates.append(places[1])
     unique = list(dict.fromkeys(candidates))
-    return tuple(_named(lattice, board, place, unambiguous=len(unique) == 1) for place in unique)
+    return tuple(_indexed(lattice, board, place, unambiguous=len(unique) == 1) for place in unique)
 
 
-def _named(
+def _indexed(
     lattice: Lattice, board: Board, place: tuple[int, int], *, unambiguous: bool
-) -> NamedLattice:
+) -> IndexedLattice:
     ij = lattice.ij + place
     index = board.index(ij[:, 0], ij[:, 1])
-    return NamedLattice(index, lattice.points_px, _steps(lattice), unambiguous)
+    return IndexedLattice(index, lattice.points_px, _steps(lattice), unambiguous)
 
 
 def _no_place(lattice: Lattice, board: Board) -> str:

@@ -44,7 +44,7 @@ def box_means(image: PixelArray, out: FloatArray) -> None:
 
 
 @compiled
-def _part(
+def _quarter_mean(
     boxes: FloatArray, u: float, v: float, half_px: float, full: float, out: FloatArray
 ) -> bool:
     """Mean place and grey of the boxes within half_px of (u, v): out = (u, v, grey, pixels).
@@ -73,7 +73,7 @@ def _part(
 
 
 @compiled
-def _plane(parts: FloatArray, count: int, plane: FloatArray) -> tuple[float, float, float]:
+def _fit_plane(parts: FloatArray, count: int, plane: FloatArray) -> tuple[float, float, float]:
     """Fit plane = (grey at the corner, its slopes by u and v) to parts (n, 4).
 
     Gives the sum of squares that it leaves, the pixels, and the larger of the two variances of
@@ -98,7 +98,7 @@ def _plane(parts: FloatArray, count: int, plane: FloatArray) -> tuple[float, flo
 
 
 @compiled
-def light_about(
+def fit_light_planes(
     boxes: FloatArray, at: FloatArray, m: FloatArray, gap_px: float, full: float,
     noise: FloatArray, parts: FloatArray, planes: FloatArray,
 ) -> bool:  # fmt: skip
@@ -128,14 +128,14 @@ def light_about(
                 x = 0.5 * sx + quarter * (1.0 if part & 1 else -1.0)
                 y = 0.5 * sy + quarter * (1.0 if part & 2 else -1.0)
                 u, v = at[0] + u_x * x + u_y * y, at[1] + v_x * x + v_y * y
-                if not _part(boxes, u, v, half_px, full, parts[count]):
+                if not _quarter_mean(boxes, u, v, half_px, full, parts[count]):
                     return False
                 parts[count, 0] -= at[0]
                 parts[count, 1] -= at[1]
                 count += 1 if parts[count, 3] > 0.0 else 0
         if count < _FEWEST_PARTS:
             return False
-        left, pixels, spread = _plane(parts, count, planes[colour])
+        left, pixels, spread = _fit_plane(parts, count, planes[colour])
         variance = min(max(noise[0] + noise[1] * planes[colour, 0], noise[2]), noise[3])
         allowed = (count - 3) * _MISFIT_SIGMAS**2 * variance + pixels * noise[5]
         full_spread = 1.0 / (4.0 * _PARTS * half_px * half_px * (quarter * side) ** 2)

@@ -62,7 +62,7 @@ class BoardPose:
     """Squared ratio of the residuals to their predicted size."""
 
     @property
-    def plain_rms_px(self) -> float:
+    def median_rms_px(self) -> float:
         """One coordinate's residual by the median, no corner weighed down."""
         return float(np.median(np.hypot(*self.residuals_px.T))) / 1.1774
 
@@ -89,12 +89,12 @@ def robust_scale(norm: FloatArray) -> float:
     return float(np.sqrt((n * ratio**2 + _BELIEVED_AS) / (n + _BELIEVED_AS)))
 
 
-def start_pose(lens: Lens, points_mm: FloatArray, points_px: FloatArray) -> Pose:
+def initial_pose(lens: Lens, points_mm: FloatArray, points_px: FloatArray) -> Pose:
     """Pose from a plane's homography, without a guess. Raises TargetNotFoundError."""
-    return pose_of_rays(lens.rays(points_px), points_mm)
+    return pose_from_rays(lens.rays(points_px), points_mm)
 
 
-def pose_of_rays(rays: FloatArray, points_mm: FloatArray) -> Pose:
+def pose_from_rays(rays: FloatArray, points_mm: FloatArray) -> Pose:
     """Pose of points on a plane (n, 3) seen in directions (n, 3). Raises TargetNotFoundError."""
     ahead = _turn_to_axis(rays.mean(axis=0))  # a fisheye sees boards beside it, too
     turned = rays @ ahead.T
@@ -146,7 +146,7 @@ def resect(
         raise TargetNotFoundError(msg)
     points = corners_mm[view.index]
     try:
-        near = start or start_pose(lens, points, view.points_px)
+        near = start or initial_pose(lens, points, view.points_px)
         return _resect(lens, points, view, near, settled)
     except np.linalg.LinAlgError as error:
         msg = "sub target: no pose fits the corners found"

@@ -14,7 +14,7 @@ _SMOOTHING_PX = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class Saddles:
+class SaddlePoints:
     """Points where four alternating sectors meet."""
 
     points_px: FloatArray
@@ -25,7 +25,7 @@ class Saddles:
     """(n,) +1 where the sector from the first edge on to the second is bright, else -1."""
 
 
-def find_saddles(image: FloatArray, ring_px: float = 5.0) -> Saddles:
+def find_saddle_points(image: FloatArray, ring_px: float = 5.0) -> SaddlePoints:
     """Find saddle points of a greyscale image (h, w).
 
     The determinant of the Hessian is negative at a saddle; a ring about the point must cross
@@ -78,7 +78,7 @@ def _refine_peaks(strength: FloatArray, peaks: IntArray) -> FloatArray:
     return np.asarray(peaks + np.stack(steps, axis=1), dtype=float)
 
 
-def _check_rings(smooth: FloatArray, points: FloatArray, ring_px: float) -> Saddles:
+def _check_rings(smooth: FloatArray, points: FloatArray, ring_px: float) -> SaddlePoints:
     angles = np.arange(RING_SAMPLES) * (2.0 * np.pi / RING_SAMPLES)
     map_x = (points[:, :1] + ring_px * np.cos(angles)).astype(np.float32)
     map_y = (points[:, 1:] + ring_px * np.sin(angles)).astype(np.float32)
@@ -93,10 +93,10 @@ def _check_rings(smooth: FloatArray, points: FloatArray, ring_px: float) -> Sadd
     return _edges_of(points[keep], folded[keep], crossing[keep])
 
 
-def _edges_of(points: FloatArray, folded: FloatArray, crossing: BoolArray) -> Saddles:
+def _edges_of(points: FloatArray, folded: FloatArray, crossing: BoolArray) -> SaddlePoints:
     half = RING_SAMPLES // 2
     if len(points) == 0:
-        return Saddles(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+        return SaddlePoints(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
     first = np.argmax(crossing, axis=1)
     second = half - 1 - np.argmax(crossing[:, ::-1], axis=1)
     rows = np.arange(len(points))
@@ -112,7 +112,7 @@ def _edges_of(points: FloatArray, folded: FloatArray, crossing: BoolArray) -> Sa
     polarity[swapped] *= -1.0
     opening = directions[:, 1] - directions[:, 0]
     keep = (opening > np.radians(25.0)) & (opening < np.radians(155.0))
-    return Saddles(points[keep], directions[keep], polarity[keep])
+    return SaddlePoints(points[keep], directions[keep], polarity[keep])
 
 
 def _sample(image: FloatArray, map_x: FloatArray, map_y: FloatArray) -> FloatArray:

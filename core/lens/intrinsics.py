@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.adjustment.bundle_adjustment import Adjusted, AdjustmentPriors, adjust
+from core.adjustment.bundle_adjustment import AdjustmentPriors, AdjustmentResult, adjust
 from core.arrays import FloatArray
 from core.checkerboard.board import Board
 from core.checkerboard.corners import LocatedBoard, detect_board, refine_board
@@ -46,9 +46,9 @@ class LensCalibration:
     """A lens calibrated from views of a board."""
 
     lens: Lens
-    adjusted: Adjusted
+    adjustment: AdjustmentResult
     used: tuple[int, ...]
-    """Which of the views were used, in the order of `adjusted.poses`."""
+    """Which of the views were used, in the order of `adjustment.poses`."""
     rejected: tuple[tuple[int, str], ...]
     """Which were not, and why."""
     choice: LensChoice
@@ -86,7 +86,7 @@ def calibrate_lens(
     used, views = [], []
     for v, (k, view) in enumerate(found):
         try:
-            located = _located_again(images[k], start.lens, board, view)
+            located = _refined(images[k], start.lens, board, view)
             if v in residual_ratios:
                 _require_fit(located, start.lens, board)
         except TargetNotFoundError as error:
@@ -98,7 +98,7 @@ def calibrate_lens(
     return LensCalibration(adjusted.lens, adjusted, tuple(used), tuple(sorted(rejected)), choice)
 
 
-def _located_again(image: GreyImage, lens: Lens, board: Board, view: BoardView) -> LocatedBoard:
+def _refined(image: GreyImage, lens: Lens, board: Board, view: BoardView) -> LocatedBoard:
     """Locate all corners with the lens known, from those that were found without it."""
     pose = resect(lens, board.corners_mm, view).pose
     return refine_board(image, lens, pose, board, board.corners_mm)
@@ -109,7 +109,7 @@ def _require_fit(located: LocatedBoard, lens: Lens, board: Board) -> None:
 
     Raises TargetNotFoundError.
     """
-    off_px = resect(lens, board.corners_mm, located.view).plain_rms_px
+    off_px = resect(lens, board.corners_mm, located.view).median_rms_px
     if len(located.view.index) < _ALL_BUT_FEW * located.visible or off_px > _STRAY_PX:
         msg = f"{len(located.view.index)} of {located.visible} corners, off by {off_px:.2f} px rms"
         raise TargetNotFoundError(msg)
@@ -131,7 +131,7 @@ def calibrate_lens_from_corners(
     image's width and height, px. Views whose corners are not the board's (a row shifted,
     mirrored, on other things) are rejected with their reason. Raises CalibrationError.
     """
-    views = [_given(corners, k, board, sigma_px) for k, corners in enumerate(corners_px)]
+    views = [_view_of_corners(corners, k, board, sigma_px) for k, corners in enumerate(corners_px)]
     start = start_lens(views, board, size, model=model)
     residual_ratios = dict(start.rejected)
     used = tuple(k for k in range(len(views)) if k not in residual_ratios)
@@ -139,7 +139,9 @@ def calibrate_lens_from_corners(
     return LensCalibration(adjusted.lens, adjusted, used, start.rejected, choice)
 
 
-def _given(corners_px: FloatArray | None, k: int, board: Board, sigma_px: float) -> BoardView:
+def _view_of_corners(
+    corners_px: FloatArray | None, k: int, board: Board, sigma_px: float
+) -> BoardView:
     count = board.columns * board.rows
     given = np.full((count, 2), np.nan) if corners_px is None else np.asarray(corners_px, float)
     if given.size != 2 * count:
@@ -161,11 +163,11 @@ def _adjusted(
     model: LensModel | None,
     *,
     skew: bool,
-) -> tuple[Adjusted, LensChoice]:
+) -> tuple[AdjustmentResult, LensChoice]:
     """Lens, poses and board together, again if another model than the start's is chosen."""
 
-    def fit(lens: Lens) -> tuple[Adjusted, LensChoice]:
-        adjusted = _jointly(views, board, lens, skew=skew)
+    def fit(lens: Lens) -> tuple[AdjustmentResult, LensChoice]:
+        adjusted = _adjust_jointly(views, board, lens, skew=skew)
         given = adjusted.lens, adjusted.corners_mm, views, adjusted.poses, model
         return adjusted, choose_lens(*given)
 
@@ -176,7 +178,9 @@ def _adjusted(
     return adjusted, again if again.lens.model is adjusted.lens.model else choice
 
 
-def _jointly(views: Sequence[BoardView], board: Board, lens: Lens, *, skew: bool) -> Adjusted:
+def _adjust_jointly(
+    views: Sequence[BoardView], board: Board, lens: Lens, *, skew: bool
+) -> AdjustmentResult:
     """Paper boards are as uneven as they are large; sensors have square pixels."""
     half_mm = 0.5 * float(np.ptp(board.corners_mm, axis=0).max())
     priors = AdjustmentPriors(

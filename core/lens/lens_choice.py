@@ -21,7 +21,7 @@ from core.errors import TargetNotFoundError
 from core.geometry.lens import Lens
 from core.geometry.pose import Pose
 from core.lens.lens_fit import FittedLens, as_model, fit_lens, wide_prior
-from core.lens.lens_start import thinned
+from core.lens.lens_start import subsample
 from core.lens_model import LensModel
 
 MIN_VIEWS = 6
@@ -71,7 +71,7 @@ def choose_lens(
         return LensChoice(lens, {}, "as configured")
     if len(views) < MIN_VIEWS:
         return LensChoice(lens, {}, f"not compared with others on only {len(views)} views")
-    thin = [thinned(view, _CORNERS_A_VIEW) for view in views]
+    thin = [subsample(view, _CORNERS_A_VIEW) for view in views]
     models = _models(lens, thin)
     starts = [_fit(as_model(lens, model), corners_mm, thin, poses) for model in models]
     fits = [fit for fit in starts if fit is not None]
@@ -117,12 +117,12 @@ def _held_out(whole: FittedLens, corners_mm: FloatArray, views: Sequence[BoardVi
         if fit is None:
             return np.full((len(views), 1), np.inf)
         for v in range(fold, len(views), _FOLDS):
-            error = _foretold(fit.lens, corners_mm, views[v], whole.poses[v])
+            error = _squared_errors(fit.lens, corners_mm, views[v], whole.poses[v])
             squares[v, : len(error)] = error
     return squares
 
 
-def _foretold(lens: Lens, corners_mm: FloatArray, view: BoardView, near: Pose) -> FloatArray:
+def _squared_errors(lens: Lens, corners_mm: FloatArray, view: BoardView, near: Pose) -> FloatArray:
     """(n / 2,) squared error of a coordinate at every other corner, the pose by the rest."""
     odd = np.arange(len(view.index)) % 2 == 1
     half = view.select(~odd)

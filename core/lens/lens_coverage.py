@@ -41,19 +41,19 @@ class LensCoverage:
         return float((self.cells > 0).mean())
 
     @property
-    def wishes(self) -> tuple[str, ...]:
+    def suggestions(self) -> tuple[str, ...]:
         """What to show next, the most important first; empty when there is enough."""
-        wishes = [
+        suggestions = [
             f"tilt the board, {side} away from the camera, by 15 to 30 degrees"
             for side, count in zip(_TILTS, self.tilted, strict=True)
             if count < ENOUGH_TILTED
         ]
         if self.covered < ENOUGH_COVERED:
-            wishes.append(f"bring the board to the {self._emptiest()} of the sub image")
-        if not wishes and self.views < ENOUGH_VIEWS:
+            suggestions.append(f"bring the board to the {self._emptiest()} of the sub image")
+        if not suggestions and self.views < ENOUGH_VIEWS:
             missing = ENOUGH_VIEWS - self.views
-            wishes.append(f"{missing} more view{'s' * (missing > 1)}, each another way")
-        return tuple(wishes)
+            suggestions.append(f"{missing} more view{'s' * (missing > 1)}, each another way")
+        return tuple(suggestions)
 
     def _emptiest(self) -> str:
         """Name the ninth of the image with the most empty cells; of equals one near the middle."""

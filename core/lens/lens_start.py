@@ -14,7 +14,7 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.checkerboard.board import Board
-from core.checkerboard.resection import MIN_CORNERS, BoardView, pose_of_rays, resect
+from core.checkerboard.resection import MIN_CORNERS, BoardView, pose_from_rays, resect
 from core.errors import CalibrationError, TargetNotFoundError
 from core.geometry.lens import Lens
 from core.geometry.pose import Pose
@@ -62,19 +62,19 @@ def start_lens(
     """
     if len(views) < MIN_VIEWS:
         raise CalibrationError(_too_few(len(views), len(views)))
-    thin = [thinned(view, _CORNERS_A_VIEW) for view in views]
-    few = [thinned(view, _CORNERS_A_TRIAL) for view in thin]
+    thin = [subsample(view, _CORNERS_A_VIEW) for view in views]
+    few = [subsample(view, _CORNERS_A_TRIAL) for view in thin]
     kinds = []
     for trials in _trials(size, focal_px, model):
-        tried = [_tried(lens, board, few) for lens in trials]
+        tried = [_try_lens(lens, board, few) for lens in trials]
         first = min(tried, key=lambda t: float(np.median(t.off_px)))
         if np.median(first.off_px) < _NO_FIT_PX:
-            kinds.append(_agree(first, board, thin))
+            kinds.append(_fit_consensus(first, board, thin))
     kinds = [kind for kind in kinds if len(kind.kept) >= MIN_VIEWS]
     if not kinds:
         raise CalibrationError(_too_few(len(views), 0))
     limit_px = max(_FLOOR_PX, _WORSE * min(kind.typical_px for kind in kinds))
-    best = min(kinds, key=lambda kind: kind.demerit(limit_px))
+    best = min(kinds, key=lambda kind: kind.cost(limit_px))
     lens = best.lens if model is None else as_model(best.lens, model)
     return StartLens(lens, _reasons(best, board, thin))
 
@@ -101,7 +101,7 @@ def _trials(size: ImageSize, focal_px: float | None, wanted: LensModel | None) -
     ]
 
 
-def thinned(view: BoardView, corners: int) -> BoardView:
+def subsample(view: BoardView, corners: int) -> BoardView:
     """About so many corners of a view, spread over it, all trusted alike."""
     count = len(view.index)
     keep = np.unique(np.linspace(0, count - 1, min(count, corners)).astype(int))
@@ -110,7 +110,7 @@ def thinned(view: BoardView, corners: int) -> BoardView:
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
+class _LensTrial:
     """All views as a lens sees them."""
 
     lens: Lens
@@ -121,7 +121,7 @@ class _Seen:
     """(views,) how far half of them are off at most."""
 
 
-def _tried(lens: Lens, board: Board, views: Sequence[BoardView]) -> _Seen:
+def _try_lens(lens: Lens, board: Board, views: Sequence[BoardView]) -> _LensTrial:
     """Each view's median residual under a lens without distortion, by a pose without refinement."""
     rays = lens.rays(np.concatenate([view.points_px for view in views]))
     ends = np.cumsum([len(view.index) for view in views])[:-1]
@@ -130,7 +130,7 @@ def _tried(lens: Lens, board: Board, views: Sequence[BoardView]) -> _Seen:
     for v, (view, own) in enumerate(zip(views, np.split(rays, ends), strict=True)):
         points = board.corners_mm[view.index]
         try:
-            pose = pose_of_rays(own, points) if len(points) >= MIN_CORNERS else None
+            pose = pose_from_rays(own, points) if len(points) >= MIN_CORNERS else None
         except TargetNotFoundError:
             pose = None
         poses.append(pose)
@@ -138,7 +138,7 @@ def _tried(lens: Lens, board: Board, views: Sequence[BoardView]) -> _Seen:
             continue
         miss = np.hypot(*(view.points_px - lens.project(pose.apply(points))).T)
         off[v] = np.median(miss) if np.isfinite(miss).all() else _NO_FIT_PX
-    return _Seen(lens, tuple(poses), off, off)
+    return _LensTrial(lens, tuple(poses), off, off)
 
 
 def _pose(
@@ -147,9 +147,9 @@ def _pose(
     """Pose of a view, and how far each corner is off, px."""
     try:
         found = resect(lens, board.corners_mm, view, start)
-        if start is not None and not found.plain_rms_px < _FLOOR_PX:  # perhaps a false minimum
+        if start is not None and not found.median_rms_px < _FLOOR_PX:  # perhaps a false minimum
             again = resect(lens, board.corners_mm, view)
-            found = min(found, again, key=lambda each: each.plain_rms_px)
+            found = min(found, again, key=lambda each: each.median_rms_px)
     except TargetNotFoundError:
         return None, np.full(max(len(view.index), 1), _NO_FIT_PX)
     off = np.hypot(*found.residuals_px.T)
@@ -158,19 +158,21 @@ def _pose(
     return found.pose, off
 
 
-def _seen(lens: Lens, board: Board, views: Sequence[BoardView], before: _Seen) -> _Seen:
+def _refit_poses(
+    lens: Lens, board: Board, views: Sequence[BoardView], before: _LensTrial
+) -> _LensTrial:
     """Each view's residual, its pose fitted."""
     fits = [_pose(lens, board, v, pose) for v, pose in zip(views, before.poses, strict=True)]
     rms = np.array([float(np.sqrt((off**2).mean())) for _, off in fits])
     half = np.array([float(np.median(off)) for _, off in fits])
-    return _Seen(lens, tuple(pose for pose, _ in fits), rms, half)
+    return _LensTrial(lens, tuple(pose for pose, _ in fits), rms, half)
 
 
 @dataclass(frozen=True, slots=True)
-class _Agreed:
+class _Consensus:
     """A lens and the views that agree on it."""
 
-    seen: _Seen
+    seen: _LensTrial
     kept: tuple[int, ...]
     typical_px: float
 
@@ -178,13 +180,13 @@ class _Agreed:
     def lens(self) -> Lens:
         return self.seen.lens
 
-    def demerit(self, limit_px: float) -> tuple[int, float]:
+    def cost(self, limit_px: float) -> tuple[int, float]:
         """The kind that more views fit is the right one; of equals the tangent, if as good."""
         handicap = 1.0 if self.lens.model is LensModel.FISHEYE else _CLEARLY
         return -int((self.seen.off_px <= limit_px).sum()), handicap * self.typical_px
 
 
-def _agree(seen: _Seen, board: Board, views: Sequence[BoardView]) -> _Agreed:
+def _fit_consensus(seen: _LensTrial, board: Board, views: Sequence[BoardView]) -> _Consensus:
     """Fit to the views that fit best, again and again, then let in all that fit as well.
 
     Views near the image's edge fit a lens badly that others were fitted to: they are let in when
@@ -205,7 +207,7 @@ def _agree(seen: _Seen, board: Board, views: Sequence[BoardView]) -> _Agreed:
                 break
             kept = chosen
             seen = _fitted(seen, kept, board, views)
-    return _Agreed(seen, kept, float(np.median(np.sort(seen.off_px)[:enough])))
+    return _Consensus(seen, kept, float(np.median(np.sort(seen.off_px)[:enough])))
 
 
 def _as_good(off_px: FloatArray, enough: int) -> tuple[int, ...]:
@@ -214,7 +216,9 @@ def _as_good(off_px: FloatArray, enough: int) -> tuple[int, ...]:
     return tuple(np.nonzero(off_px <= max(_FLOOR_PX, _WORSE * typical))[0].tolist())
 
 
-def _fitted(seen: _Seen, kept: Sequence[int], board: Board, views: Sequence[BoardView]) -> _Seen:
+def _fitted(
+    seen: _LensTrial, kept: Sequence[int], board: Board, views: Sequence[BoardView]
+) -> _LensTrial:
     """All views by the lens fitted to some; the lens as it was if they determine too little."""
     good = [(views[v], pose) for v in kept if (pose := seen.poses[v]) is not None]
     lens = seen.lens
@@ -229,11 +233,11 @@ def _fitted(seen: _Seen, kept: Sequence[int], board: Board, views: Sequence[Boar
         except np.linalg.LinAlgError:
             break
         lens, poses = fitted.lens, list(fitted.poses)
-    return _seen(lens, board, views, seen)
+    return _refit_poses(lens, board, views, seen)
 
 
 def _reasons(
-    agreed: _Agreed, board: Board, views: Sequence[BoardView]
+    agreed: _Consensus, board: Board, views: Sequence[BoardView]
 ) -> tuple[tuple[int, str], ...]:
     """Why views are left out: they do not fit, or are mirror images of the others."""
     found = [
@@ -241,7 +245,7 @@ def _reasons(
         for view, pose in zip(views, agreed.seen.poses, strict=True)
     ]
     rejected = {
-        v: _residual_words(view, off, pose, agreed.typical_px)
+        v: _misfit_text(view, off, pose, agreed.typical_px)
         for v, (view, (pose, off)) in enumerate(zip(views, found, strict=True))
         if v not in agreed.kept
     }
@@ -260,7 +264,7 @@ def _from_the_front(pose: Pose) -> bool:
     return float(pose.R[:, 2] @ pose.t_mm) > 0.0
 
 
-def _residual_words(view: BoardView, off: FloatArray, pose: Pose | None, typical_px: float) -> str:
+def _misfit_text(view: BoardView, off: FloatArray, pose: Pose | None, typical_px: float) -> str:
     if len(view.index) < MIN_CORNERS:
         return f"{len(view.index)} corners of the board, {MIN_CORNERS} are needed"
     if pose is None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray
 from core.geometry.pose import Pose
-from core.planning.drawing import OUTLINE, Campaign, Drawing
+from core.planning.planned_site import OUTLINE, CalibrationPlan, PlannedSite
 from core.rig.compensation import affine_error_px
 
 FEW_PX_SQUARE = 12.0
@@ -46,9 +46,9 @@ class FieldOfView:
     """Eq. 5 for the expected drift; below 1 px for the paper's method."""
 
 
-def field_of_view(drawing: Drawing) -> FieldOfView:
+def field_of_view(planned: PlannedSite) -> FieldOfView:
     """Work out what is seen and how far things may move."""
-    site, limits = drawing.site, drawing.site.quality
+    site, limits = planned.site, planned.site.quality
     scale, target = site.nominal_px_per_mm, site.main_target
     sub_scale = site.sub.focal_px / site.sub_target.distance_mm
     size = np.array([site.main.width_px, site.main.height_px], dtype=float)
@@ -63,74 +63,77 @@ def field_of_view(drawing: Drawing) -> FieldOfView:
         np.array([site.sub.width_px, site.sub.height_px]) / sub_scale,
         float(target.diameters_mm.min()) * scale,
         site.sub_target.square_mm * sub_scale,
-        drawing.see_board(drawing.T_CS1_WS).visible,
-        len(drawing.board.corners_mm),
+        planned.predict_board(planned.T_CS1_WS).visible,
+        len(planned.board.corners_mm),
         travel,
         travel / target.distance_mm * 1e3,
-        np.array([_shift_to_half(drawing, axis) for axis in range(2)]),
+        np.array([_shift_to_half(planned, axis) for axis in range(2)]),
         limits.expected_drift_mrad * 1e-3 * target.distance_mm + limits.expected_drift_mm,
         affine_error_px(target.distance_mm, limits.expected_drift_mm, off_axis),
     )
 
 
-def _shift_to_half(drawing: Drawing, axis: int) -> float:
+def _shift_to_half(planned: PlannedSite, axis: int) -> float:
     """How far the rig may shift along an axis until half of the corners have left the image."""
-    at_rest = drawing.see_board(drawing.T_CS1_WS).visible
-    target = drawing.site.sub_target
+    at_rest = planned.predict_board(planned.T_CS1_WS).visible
+    target = planned.site.sub_target
     near, far = 0.0, 2.0 * target.square_mm * max(target.squares_x, target.squares_y)
     for _ in range(12):
         middle = _HALF * (near + far)
-        moved = Pose(np.eye(3), middle * np.eye(3)[axis]).compose(drawing.T_CS1_WS)
-        if drawing.see_board(moved).visible >= _HALF * at_rest:
+        moved = Pose(np.eye(3), middle * np.eye(3)[axis]).compose(planned.T_CS1_WS)
+        if planned.predict_board(moved).visible >= _HALF * at_rest:
             near = middle
         else:
             far = middle
     return near
 
 
-def warnings_of(drawing: Drawing, campaign: Campaign, room: FieldOfView) -> Iterator[str]:
+def planning_warnings(
+    planned: PlannedSite, calibration_plan: CalibrationPlan, view: FieldOfView
+) -> Iterator[str]:
     """Say what will not work as drawn, with what to do."""
-    limits = drawing.site.quality
-    spare_mm = room.target_travel_mm - room.drift_mm
+    limits = planned.site.quality
+    spare_mm = view.target_travel_mm - view.drift_mm
     if spare_mm.min() <= 0.0:
         yield (
-            f"the expected drift moves the main target by {room.drift_mm:.0f} mm in its image, "
-            f"{room.target_travel_mm.min():.0f} mm are free: a shorter main lens or a larger sensor"
+            f"the expected drift moves the main target by {view.drift_mm:.0f} mm in its image, "
+            f"{view.target_travel_mm.min():.0f} mm are free: a shorter main lens or a larger sensor"
         )
-    lost = [p for p in campaign.positions_deg if not _whole(drawing, p).all()]
+    lost = [p for p in calibration_plan.positions_deg if not _whole(planned, p).all()]
     if lost:
         yield (
-            f"the main target leaves its image at {len(lost)} of {len(campaign.positions_deg)} "
-            f"head positions, e.g. at pan {lost[0][0]:.2f} tilt {lost[0][1]:.2f} deg: turn less far"
+            f"the main target leaves its image at {len(lost)} of "
+            f"{len(calibration_plan.positions_deg)} head positions, e.g. at "
+            f"pan {lost[0][0]:.2f} tilt {lost[0][1]:.2f} deg: turn less far"
         )
-    if room.square_px < FEW_PX_SQUARE:
+    if view.square_px < FEW_PX_SQUARE:
         yield (
-            f"a square is only {room.square_px:.1f} px, {FEW_PX_SQUARE:.0f} px are needed: larger "
+            f"a square is only {view.square_px:.1f} px, {FEW_PX_SQUARE:.0f} px are needed: larger "
             "squares, a longer sub lens, or the board nearer"
         )
-    if room.disc_px < FEW_PX_DISC:
+    if view.disc_px < FEW_PX_DISC:
         yield (
-            f"a disc is only {room.disc_px:.1f} px across, {FEW_PX_DISC:.0f} px are needed: larger "
+            f"a disc is only {view.disc_px:.1f} px across, {FEW_PX_DISC:.0f} px are needed: larger "
             "discs or a longer main lens"
         )
-    yield from _border_warnings(drawing)
-    if room.affine_error_px >= 1.0:
+    yield from _border_warnings(planned)
+    if view.affine_error_px >= 1.0:
         yield (
-            f"Eq. 5 fails ({room.affine_error_px:.1f} px for {limits.expected_drift_mm:g} mm along "
+            f"Eq. 5 fails ({view.affine_error_px:.1f} px for {limits.expected_drift_mm:g} mm along "
             "the view): calibrate with --method rigid, not paper"
         )
 
 
-def _whole(drawing: Drawing, position: tuple[float, float]) -> BoolArray:
+def _whole(planned: PlannedSite, position: tuple[float, float]) -> BoolArray:
     """Which discs are wholly in the main image at a head position."""
-    return drawing.see_discs(drawing.head_motion(position)).found
+    return planned.predict_discs(planned.head_motion(position)).found
 
 
-def _border_warnings(drawing: Drawing) -> Iterator[str]:
+def _border_warnings(planned: PlannedSite) -> Iterator[str]:
     """Where no border of the board is in view, a motion of two squares looks like none."""
-    site, board = drawing.site, drawing.board
+    site, board = planned.site, planned.board
     target = site.sub_target
-    seen = drawing.see_board(drawing.T_CS1_WS).view.index
+    seen = planned.predict_board(planned.T_CS1_WS).view.index
     if len(seen) == 0:
         yield "no corner of the board is in the sub image: check [target.sub] distance_mm and lens"
         return

@@ -14,20 +14,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from core.adjustment.bundle_adjustment import Spreads
+from core.adjustment.bundle_adjustment import PrintSpread
 from core.arrays import FloatArray
-from core.calibration.joint_fit import FitOptions, Method, predict_fit, whole_calibrated_site
+from core.calibration.joint_fit import FitOptions, Method, build_uncompressed_site, predict_fit
 from core.calibration.observability import AXES, drift_motions
 from core.checkerboard.resection import MIN_CORNERS, pose_jacobian
 from core.errors import TargetNotFoundError
 from core.geometry.pose import Pose
-from core.planning.drawing import Campaign, Drawing
+from core.planning.planned_site import CalibrationPlan, PlannedSite
 from core.rig.calibrated_site import CalibratedSite
-from core.rig.posterior import Effects, Posterior
-from core.rig.propagation import DISC_FLOOR_PX, predict_shift, reference_noise, shift_effects
+from core.rig.posterior import Posterior, Sensitivities
+from core.rig.propagation import DISC_FLOOR_PX, predict_shift, reference_noise, shift_sensitivities
 from core.site import Site
 
-FAIR_PRINT = Spreads(column_mm=0.005, row_mm=0.005, corner_mm=0.001)
+FAIR_PRINT = PrintSpread(column_mm=0.005, row_mm=0.005, corner_mm=0.001)
 """How far lines and corners of the board will be from where they should: a good laser print."""
 
 
@@ -64,29 +64,29 @@ class PredictedAccuracy:
         return float(self.drifted_mm.max())
 
 
-def calibrate_drawing(drawing: Drawing, campaign: Campaign) -> CalibratedSite:
+def predict_calibration(planned: PlannedSite, calibration_plan: CalibrationPlan) -> CalibratedSite:
     """Say what a calibration by these views will know; its posterior is whole.
 
     Raises NotObservableError if the positions do not determine it, TargetNotFoundError if a
     target is out of view.
     """
-    require_in_view(drawing)
-    options = FitOptions(drawing.site, drawing.board, Method.RIGID, skew=False)
-    views = drawing.views(campaign)
-    fit = predict_fit(views, drawing.lens, drawing.poses(campaign), options, FAIR_PRINT)
-    return whole_calibrated_site(fit, options)
+    require_in_view(planned)
+    options = FitOptions(planned.site, planned.board, Method.RIGID, skew=False)
+    views = planned.views(calibration_plan)
+    fit = predict_fit(views, planned.lens, planned.poses(calibration_plan), options, FAIR_PRINT)
+    return build_uncompressed_site(fit, options)
 
 
-def require_in_view(drawing: Drawing) -> None:
+def require_in_view(planned: PlannedSite) -> None:
     """Raise TargetNotFoundError unless a calibration's reference would show both targets."""
-    corners = drawing.see_board(drawing.T_CS1_WS).visible
+    corners = planned.predict_board(planned.T_CS1_WS).visible
     if corners < MIN_CORNERS:
         msg = (
             f"sub target: {corners} corners of the board are in the image, {MIN_CORNERS} are "
             "needed; check [target.sub] and [camera.sub] focal_length_mm"
         )
         raise TargetNotFoundError(msg)
-    found = drawing.see_discs(Pose.identity()).found
+    found = planned.predict_discs(Pose.identity()).found
     if not found.all():
         msg = (
             f"main target: {int(found.sum())} of {len(found)} discs are wholly in the image, all "
@@ -104,10 +104,10 @@ class FrameNoise:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class PredictedRow:
     """What the error of a corrected displacement will be made of, at one motion of the rig."""
 
-    effects: Effects
+    sensitivities: Sensitivities
     """Of all that is calibrated, px."""
     pose_px2: FloatArray
     """(2, 2) from the frame's corners."""
@@ -118,7 +118,7 @@ class Row:
 
     def calibration_mm2(self, posterior: Posterior) -> FloatArray:
         """Covariance (2, 2) from the calibration alone."""
-        return np.asarray(self.to_mm @ self.effects.covariance(posterior) @ self.to_mm.T)
+        return np.asarray(self.to_mm @ self.sensitivities.covariance(posterior) @ self.to_mm.T)
 
     def covariance_mm2(self, posterior: Posterior, noise: FrameNoise) -> FloatArray:
         """Covariance (2, 2) of a row, as `corrected_displacement` gives it."""
@@ -126,38 +126,40 @@ class Row:
         return self.calibration_mm2(posterior) + self.to_mm @ frame_px2 @ self.to_mm.T
 
 
-def row_at(drawing: Drawing, calibrated: CalibratedSite, motion: Pose) -> Row:
+def predict_row(planned: PlannedSite, calibrated: CalibratedSite, motion: Pose) -> PredictedRow:
     """A row with the rig moved by `T_CSj_CS1`, the main target at rest.
 
     Raises TargetNotFoundError if the targets are out of view then.
     """
-    pair, pose = drawing.see_pair("row", motion), motion.compose(calibrated.reference_pose)
+    pair, pose = planned.predict_pair("row", motion), motion.compose(calibrated.reference_pose)
     view, which = pair.board.view, np.nonzero(pair.discs.found)[0]
     if len(view.index) < MIN_CORNERS or len(which) == 0:
         msg = "the expected drift takes a target out of its image: see [quality] expected_drift_*"
         raise TargetNotFoundError(msg)
     weights, root = np.full(len(which), 1.0 / len(which)), view.whitening()
     prediction = predict_shift(calibrated.model, calibrated.reference_discs_px[which], motion)
-    effects, by_pose = shift_effects(calibrated, prediction, which, weights, pose, view, root)
+    sensitivities, by_pose = shift_sensitivities(
+        calibrated, prediction, which, weights, pose, view, root
+    )
     jacobian = root @ pose_jacobian(calibrated.lens, pose, calibrated.corners_mm[view.index])[1]
     flat = jacobian.reshape(-1, 6)
     each_px2 = pair.discs.covariance_px2[which] + DISC_FLOOR_PX**2 * np.eye(2)
-    return Row(
-        effects,
+    return PredictedRow(
+        sensitivities,
         by_pose @ np.linalg.solve(flat.T @ flat, by_pose.T),
         each_px2.mean(axis=0) / len(which),
         np.linalg.inv(calibrated.B),
     )
 
 
-def drift_rows(drawing: Drawing, calibrated: CalibratedSite) -> tuple[Row, ...]:
+def drift_rows(planned: PlannedSite, calibrated: CalibratedSite) -> tuple[PredictedRow, ...]:
     """Rows with the rig at rest, then with the largest expected drift about and along each axis."""
-    motions = (Pose.identity(), *drift_motions(drawing.site.quality))
-    return tuple(row_at(drawing, calibrated, motion) for motion in motions)
+    motions = (Pose.identity(), *drift_motions(planned.site.quality))
+    return tuple(predict_row(planned, calibrated, motion) for motion in motions)
 
 
-def predict(
-    rows: Sequence[Row], posterior: Posterior, noise: FrameNoise | None = None
+def predict_accuracy(
+    rows: Sequence[PredictedRow], posterior: Posterior, noise: FrameNoise | None = None
 ) -> PredictedAccuracy:
     """Foresee the sigma of corrected displacements at rest and within the drift (`drift_rows`)."""
     noise = noise or FrameNoise()
@@ -180,7 +182,7 @@ def _worst_mm(covariance_mm2: FloatArray) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Limit:
+class ErrorCause:
     """One cause of error, and what would be left without it."""
 
     cause: str
@@ -188,9 +190,9 @@ class Limit:
     """`typical_mm` if this were perfect."""
 
 
-def limits_of(
-    drawing: Drawing, calibrated: CalibratedSite, rows: Sequence[Row]
-) -> tuple[Limit, ...]:
+def error_causes(
+    planned: PlannedSite, calibrated: CalibratedSite, rows: Sequence[PredictedRow]
+) -> tuple[ErrorCause, ...]:
     """What limits the accuracy: the sigma within the drift if one thing after another were perfect.
 
     The most costly first. What a part known perfectly leaves is the conditional covariance.
@@ -203,16 +205,19 @@ def limits_of(
         "offset between the cameras": whole.conditioned_on(whole.model[3:6]),
         "distance and scale of the main target": whole.conditioned_on(whole.model[6:8]),
         "noise of the reference's pose": whole.conditioned_on(
-            reference_noise(calibrated, drawing.site.sub)
+            reference_noise(calibrated, planned.site.sub)
         ),
     }
-    limits = [Limit(cause, predict(rows, left).typical_mm) for cause, left in parts.items()]
+    limits = [
+        ErrorCause(cause, predict_accuracy(rows, left).typical_mm) for cause, left in parts.items()
+    ]
     quiet = {
         "noise of a frame's pose (sub-camera)": FrameNoise(corners=0.0),
         "noise of the discs (main camera)": FrameNoise(discs=0.0),
     }
     limits += [
-        Limit(cause, predict(rows, whole, noise).typical_mm) for cause, noise in quiet.items()
+        ErrorCause(cause, predict_accuracy(rows, whole, noise).typical_mm)
+        for cause, noise in quiet.items()
     ]
     return tuple(sorted(limits, key=lambda limit: limit.without_mm))
 
@@ -222,8 +227,8 @@ class Change:
     """Something that could be done otherwise."""
 
     what: str
-    drawing: Drawing
-    campaign: Campaign
+    planned: PlannedSite
+    calibration_plan: CalibrationPlan
     noise: FrameNoise = field(default_factory=FrameNoise)
 
 
@@ -239,9 +244,9 @@ WORTHWHILE = 0.9
 """Changes that leave more of the sigma than this are not told."""
 
 
-def possible_changes(drawing: Drawing, campaign: Campaign) -> tuple[Change, ...]:
+def possible_changes(planned: PlannedSite, calibration_plan: CalibrationPlan) -> tuple[Change, ...]:
     """What an engineer could do otherwise, one thing at a time."""
-    site = drawing.site
+    site = planned.site
     target, rig, main = site.sub_target, site.rig, site.main_target
     focal_mm = 1.5 * site.sub.focal_length_mm
     longer = replace(site, sub=replace(site.sub, focal_length_mm=focal_mm))
@@ -256,36 +261,39 @@ def possible_changes(drawing: Drawing, campaign: Campaign) -> tuple[Change, ...]
         ),
         main_target=replace(main, distance_sigma_mm=main.distance_sigma_mm / 4.0),
     )
-    more = 2 * campaign.lens_views
+    more = 2 * calibration_plan.lens_views
 
-    def other(changed: Site) -> Drawing:
-        return replace(drawing, site=changed)
+    def other(changed: Site) -> PlannedSite:
+        return replace(planned, site=changed)
 
     return (
         Change(
-            f"{more} lens views instead of {campaign.lens_views}",
-            drawing,
-            replace(campaign, lens_views=more),
+            f"{more} lens views instead of {calibration_plan.lens_views}",
+            planned,
+            replace(calibration_plan, lens_views=more),
         ),
         Change(
             f"a sub-camera lens of {focal_mm:g} mm instead of {site.sub.focal_length_mm:g} mm",
             other(longer),
-            campaign,
+            calibration_plan,
         ),
         Change(
             f"a larger board, {squares[0]} x {squares[1]} squares of {target.square_mm:g} mm",
             other(replace(site, sub_target=larger)),
-            campaign,
+            calibration_plan,
         ),
         Change(
             f"a survey four times as good: to {rig.rotation_sigma_deg / 4:.2g} deg between the "
             f"cameras, {rig.offset_sigma_mm / 4:.2g} mm of offset, "
             f"{main.distance_sigma_mm / 4:.2g} mm of distance",
             other(surveyed),
-            campaign,
+            calibration_plan,
         ),
         Change(
-            "four pairs a slot ([schedule] burst = 4)", drawing, campaign, FrameNoise(0.25, 0.25)
+            "four pairs a slot ([schedule] burst = 4)",
+            planned,
+            calibration_plan,
+            FrameNoise(0.25, 0.25),
         ),
     )
 
@@ -294,9 +302,9 @@ def improvements(now: PredictedAccuracy, changes: Sequence[Change]) -> tuple[Imp
     """Plan again with each change; those worth it, the best first."""
     found = []
     for change in changes:
-        again = calibrate_drawing(change.drawing, change.campaign)
-        rows = drift_rows(change.drawing, again)
-        typical_mm = predict(rows, again.posterior, change.noise).typical_mm
+        again = predict_calibration(change.planned, change.calibration_plan)
+        rows = drift_rows(change.planned, again)
+        typical_mm = predict_accuracy(rows, again.posterior, change.noise).typical_mm
         if typical_mm < WORTHWHILE * now.typical_mm:
             found.append(Improvement(change.what, typical_mm))
     return tuple(sorted(found, key=lambda improvement: improvement.typical_mm))

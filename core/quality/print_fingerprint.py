@@ -23,7 +23,7 @@ def print_errors_mm(calibrated: CalibratedSite) -> FloatArray:
     return np.asarray((departure.ravel() - terms @ shape).reshape(-1, 3)[:, :2])
 
 
-def missing_print(
+def print_mismatch(
     calibrated: CalibratedSite, view: BoardView, board: BoardPose
 ) -> tuple[float, float]:
     """How much of the calibrated print errors is missing in an image, and their size in px.

@@ -18,7 +18,7 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.geometry.pose import Pose
-from core.quality.residual_ratio import WINDOW, lasting_residual_ratio, residual_ratio
+from core.quality.residual_ratio import WINDOW_ROWS, median_residual_ratio, residual_ratio
 from core.quality.verdicts import flag_of
 from core.results import Measurement, Reason
 from core.rig.calibrated_site import CalibratedSite
@@ -47,7 +47,7 @@ _ENOUGH = 6
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class RowSummary:
     """What the rows after need of a row."""
 
     time_s: float
@@ -66,17 +66,19 @@ class Sample:
 
 
 @dataclass(frozen=True, slots=True)
-class Slip:
+class BoardSlip:
     """A slip that is not undone."""
 
     channel: Channel
     by_mm: FloatArray
     """(2,) by how much the rig is wrongly said to have moved."""
-    last: Sample
+    last: RowSummary
     """The last row with the slip."""
 
 
-def sample_of(calibrated: CalibratedSite, measurement: Measurement, time_s: float) -> Sample | None:
+def summarise_row(
+    calibrated: CalibratedSite, measurement: Measurement, time_s: float
+) -> RowSummary | None:
     """Give what later rows need of a row, None of one without a value."""
     corrected, raw, motion = measurement.corrected, measurement.raw, measurement.motion
     if corrected is None or raw is None or motion is None:
@@ -92,7 +94,7 @@ def sample_of(calibrated: CalibratedSite, measurement: Measurement, time_s: floa
         measurement.diagnostics.sub_contrast_dn,
     )
     baseline = calibrated.baseline
-    return Sample(
+    return RowSummary(
         time_s,
         corrected.mm,
         raw.mm - corrected.mm,
@@ -106,27 +108,29 @@ def sample_of(calibrated: CalibratedSite, measurement: Measurement, time_s: floa
 
 
 @dataclass(frozen=True, slots=True)
-class Continuity:
+class StepDetector:
     """The rows so far, of one calibration."""
 
-    history: tuple[Sample, ...] = ()
+    history: tuple[RowSummary, ...] = ()
     """The last rows that are believed, in order."""
-    slip: Slip | None = None
+    slip: BoardSlip | None = None
 
     @classmethod
     def resumed(
-        cls, history: tuple[Sample, ...], first: Sample | None, last: Sample | None
-    ) -> Continuity:
+        cls, history: tuple[RowSummary, ...], first: RowSummary | None, last: RowSummary | None
+    ) -> StepDetector:
         """Go on from stored rows: those believed, and the first and last of a slip since."""
-        state = cls(history[-WINDOW:])
+        state = cls(history[-WINDOW_ROWS:])
         if first is None or last is None or not state.history:
             return state
         slip = state._slipped(first)
         before = state.history[-1]
         by_mm = first.false_mm - before.false_mm
-        return replace(state, slip=replace(slip or Slip("false_mm", by_mm, last), last=last))
+        return replace(state, slip=replace(slip or BoardSlip("false_mm", by_mm, last), last=last))
 
-    def judge(self, now: Sample, limits: QualityLimits) -> tuple[tuple[Reason, ...], Continuity]:
+    def judge(
+        self, now: RowSummary, limits: QualityLimits
+    ) -> tuple[tuple[Reason, ...], StepDetector]:
         """Give what the rows before make of a row, and the state after it.
 
         A row that is not good in itself is neither judged nor remembered.
@@ -140,20 +144,20 @@ class Continuity:
             return (Reason.BOARD_SLIPPED,), replace(self, slip=slip)
         if self._too_fast(now, limits.max_step_mm):
             return (Reason.CAMERA_BUMPED,), replace(self, slip=None)
-        after = Continuity((*self.history, now)[-WINDOW:])
+        after = StepDetector((*self.history, now)[-WINDOW_ROWS:])
         return ((Reason.CALIBRATION_DRIFTING,) if after.is_drifting else ()), after
 
     @property
     def residual_ratio(self) -> float | None:
         """The median residual of the last rows; None of too few rows to tell."""
-        return lasting_residual_ratio([row.residual_ratio for row in self.history])
+        return median_residual_ratio([row.residual_ratio for row in self.history])
 
     @property
     def is_drifting(self) -> bool:
         """Whether the corners fit so badly for so long that values are doubtful."""
         return self.residual_ratio is not None and self.residual_ratio > _DRIFT_FACTOR
 
-    def _slipped(self, now: Sample) -> Slip | None:
+    def _slipped(self, now: RowSummary) -> BoardSlip | None:
         rows = len(self.history)
         if rows < 2:
             return None
@@ -161,10 +165,10 @@ class Continuity:
         for axes in _DIRECTIONS if rows >= _ENOUGH else _DIRECTIONS[:1]:
             for sigma_index, channel in enumerate(_CHANNELS, start=1):
                 if self._is_slip(now, channel, sigma_index, axes):
-                    return Slip(channel, said[channel], now)
+                    return BoardSlip(channel, said[channel], now)
         return None
 
-    def _is_slip(self, now: Sample, channel: Channel, sigma_index: int, axes: slice) -> bool:
+    def _is_slip(self, now: RowSummary, channel: Channel, sigma_index: int, axes: slice) -> bool:
         """Whether a channel's step is unusual along some axes and the displacement undoes it."""
         before, steps = self.history[-1], len(self.history) - 1
         moved_mm = (now.mm - before.mm)[axes]
@@ -179,7 +183,7 @@ class Continuity:
         strange = said / (factor * self._usual(channel, now, axes))
         return strange > _ALONE or (strange > 1.0 and size > factor * self._usual("mm", now, axes))
 
-    def _undone(self, slip: Slip, now: Sample) -> bool:
+    def _undone(self, slip: BoardSlip, now: RowSummary) -> bool:
         """Whether a row is nearer to where the last one would be without the slip."""
         plane = _DIRECTIONS[0]
         scales = [max(self._usual(name, now, plane), 1e-3) for name in (slip.channel, "mm")]
@@ -193,7 +197,7 @@ class Continuity:
 
         return away(slip.by_mm) < away(np.zeros(2))
 
-    def _too_fast(self, now: Sample, max_step_mm: float | None) -> bool:
+    def _too_fast(self, now: RowSummary, max_step_mm: float | None) -> bool:
         if max_step_mm is None or not self.history:
             return False
         before, interval_s = self.history[-1], self._interval_s
@@ -205,7 +209,7 @@ class Continuity:
         times = np.array([row.time_s for row in self.history])
         return float(np.median(np.diff(times))) if len(times) > 1 else 0.0
 
-    def _usual(self, name: str, now: Sample, axes: slice) -> float:
+    def _usual(self, name: str, now: RowSummary, axes: slice) -> float:
         """The largest step of the rows so far; after a gap, or across one, their whole range.
 
         A gap that is longer than the rows so far leaves room for as many times that range.
@@ -219,7 +223,7 @@ class Continuity:
         return max(usual, float(self.history[-1].sigma_mm.max()))
 
 
-def with_reasons(measurement: Measurement, reasons: tuple[Reason, ...]) -> Measurement:
+def add_reasons(measurement: Measurement, reasons: tuple[Reason, ...]) -> Measurement:
     """Give a measurement with what other rows make of it."""
     if not reasons:
         return measurement

@@ -10,11 +10,11 @@ from core.checkerboard.resection import BoardPose
 from core.checkerboard.shadow import crossed_by_shadow
 from core.discs.disc_finder import Discs
 from core.images import GreyImage
-from core.quality.print_fingerprint import missing_print
-from core.quality.residual_ratio import noisier
+from core.quality.print_fingerprint import print_mismatch
+from core.quality.residual_ratio import contrast_noise_factor
 from core.results import Displacement, Flag, Reason, RigMotion
 from core.rig.calibrated_site import CalibratedSite
-from core.rig.compensation import Shift, affine_error_px
+from core.rig.compensation import CommonShift, affine_error_px
 from core.rig.paper import PaperModel
 from core.site import Site
 
@@ -46,7 +46,7 @@ def overexposed(image: GreyImage) -> bool:
     return share > _SATURATED_SHARE
 
 
-def judge_main(calibrated: CalibratedSite, discs: Discs, shift: Shift | None) -> list[Reason]:
+def judge_main(calibrated: CalibratedSite, discs: Discs, shift: CommonShift | None) -> list[Reason]:
     """What is doubtful about the main target; shift is what is left with the rig's motion off.
 
     None where that is not known: the rig's roll turns the discs about one another, too.
@@ -69,9 +69,9 @@ def judge_sub(calibrated: CalibratedSite, located: LocatedBoard, board: BoardPos
         reasons.append(Reason.SUB_TARGET_UNCERTAIN)
     if _hidden(located, board) > _HIDDEN_SHARE * located.visible:
         reasons.append(Reason.SUB_TARGET_PARTLY_HIDDEN)
-    if board.rms_px > _RESIDUAL_FACTOR * max(calibrated.baseline.sub_rms_px, 0.002) * noisier(
-        calibrated.baseline.sub_contrast_dn, located.contrast_dn
-    ):
+    if board.rms_px > _RESIDUAL_FACTOR * max(
+        calibrated.baseline.sub_rms_px, 0.002
+    ) * contrast_noise_factor(calibrated.baseline.sub_contrast_dn, located.contrast_dn):
         reasons.append(Reason.SUB_TARGET_DISTURBED)
     if _is_foreign(calibrated, located, board):
         reasons.append(Reason.SUB_TARGET_CHANGED)
@@ -97,15 +97,15 @@ def _is_foreign(calibrated: CalibratedSite, located: LocatedBoard, board: BoardP
     Print errors smaller than the noise of a corner are known too poorly to be missed, and too
     small to spoil a value.
     """
-    share, size_px = missing_print(calibrated, located.view, board)
+    share, size_px = print_mismatch(calibrated, located.view, board)
     return share > _FOREIGN_SHARE and size_px > calibrated.baseline.sub_rms_px
 
 
-def beyond_belief(shift: Shift, board: BoardPose | None) -> bool:
+def is_inconsistent(shift: CommonShift, board: BoardPose | None) -> bool:
     """Whether the discs or the corners contradict each other so far that no value can be given."""
     if shift.residual_px > _NO_VALUE_PX:
         return True
-    return board is not None and board.plain_rms_px > _NO_VALUE_PX
+    return board is not None and board.median_rms_px > _NO_VALUE_PX
 
 
 def judge_motion(calibrated: CalibratedSite, motion: RigMotion, site: Site) -> list[Reason]:

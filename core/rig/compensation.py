@@ -12,7 +12,7 @@ from core.discs.disc_finder import MIN_DISCS, Discs
 from core.errors import TargetNotFoundError
 from core.results import Displacement, RigMotion
 from core.rig.calibrated_site import CalibratedSite
-from core.rig.propagation import DISC_FLOOR_PX, predict_shift, shift_effects
+from core.rig.propagation import DISC_FLOOR_PX, predict_shift, shift_sensitivities
 from core.rig.rigid import motion_by_pose
 
 _CLEAN_MARGIN = 0.04
@@ -38,7 +38,7 @@ def rig_motion(calibrated: CalibratedSite, board: BoardPose) -> RigMotion:
 
 
 @dataclass(frozen=True, slots=True)
-class Shift:
+class CommonShift:
     """The discs' common shift from their places in the reference."""
 
     which: IntArray
@@ -63,7 +63,7 @@ def choose_discs(calibrated: CalibratedSite, discs: Discs) -> IntArray:
     return np.nonzero(chosen)[0]
 
 
-def _common_shift(miss_px: FloatArray, which: IntArray) -> tuple[FloatArray, Shift]:
+def _common_shift(miss_px: FloatArray, which: IntArray) -> tuple[FloatArray, CommonShift]:
     """Robust mean (2,) of the discs' shifts (k, 2)."""
     middle = np.median(miss_px, axis=0)
     away = np.hypot(*(miss_px - middle).T)
@@ -72,10 +72,10 @@ def _common_shift(miss_px: FloatArray, which: IntArray) -> tuple[FloatArray, Shi
     weights = weights / weights.sum()
     mean = weights @ miss_px
     squares = ((miss_px - mean) ** 2).sum(axis=1) / 2.0
-    return mean, Shift(which, weights, float(np.sqrt(weights @ squares)))
+    return mean, CommonShift(which, weights, float(np.sqrt(weights @ squares)))
 
 
-def raw_displacement(calibrated: CalibratedSite, discs: Discs) -> tuple[Displacement, Shift]:
+def raw_displacement(calibrated: CalibratedSite, discs: Discs) -> tuple[Displacement, CommonShift]:
     """Displacement by the main camera alone: inv(B~) of the discs' common shift."""
     which = choose_discs(calibrated, discs)
     miss = discs.points_px[which] - calibrated.reference_discs_px[which]
@@ -86,7 +86,7 @@ def raw_displacement(calibrated: CalibratedSite, discs: Discs) -> tuple[Displace
     ), shift
 
 
-def _disc_noise(discs: Discs, shift: Shift, reference_px2: FloatArray) -> FloatArray:
+def _disc_noise(discs: Discs, shift: CommonShift, reference_px2: FloatArray) -> FloatArray:
     """Covariance (2, 2) px^2 of the common shift from this image: as predicted, or as they scatter.
 
     What the reference's noise makes them scatter does not count.
@@ -98,7 +98,7 @@ def _disc_noise(discs: Discs, shift: Shift, reference_px2: FloatArray) -> FloatA
     return np.asarray(predicted + max(0.0, excess) * np.eye(2))
 
 
-def _reference_noise(calibrated: CalibratedSite, shift: Shift) -> FloatArray:
+def _reference_noise(calibrated: CalibratedSite, shift: CommonShift) -> FloatArray:
     """Covariance (2, 2) px^2 of the common shift from the discs' places in the reference."""
     factor = np.einsum("k,kar->ar", shift.weights, calibrated.posterior.discs[shift.which])
     return np.asarray(factor @ factor.T)
@@ -118,7 +118,7 @@ def _displacement(
 
 def corrected_displacement(
     calibrated: CalibratedSite, discs: Discs, board: BoardPose, view: BoardView
-) -> tuple[Displacement, Shift]:
+) -> tuple[Displacement, CommonShift]:
     """Displacement with the false shift removed, Eq. 20: inv(B~) (u_j - u_false_j).
 
     Its covariance comes from the discs, from this frame's pose, and from the calibration, whose
@@ -131,10 +131,10 @@ def corrected_displacement(
     miss = discs.points_px[which] - reference_px - prediction.shift_px
     mean, shift = _common_shift(miss, which)
     root = view.whitening() * np.sqrt(board.weights)[:, None, None]
-    effects, by_pose = shift_effects(
+    sensitivities, by_pose = shift_sensitivities(
         calibrated, prediction, which, shift.weights, board.pose, view, root
     )
-    calibration_px2 = effects.covariance(calibrated.posterior)
+    calibration_px2 = sensitivities.covariance(calibrated.posterior)
     covariance_px2 = (
         _disc_noise(discs, shift, _reference_noise(calibrated, shift))
         + by_pose @ board.covariance @ by_pose.T

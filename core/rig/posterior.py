@@ -115,7 +115,7 @@ class Posterior:
 
 
 @dataclass(frozen=True, slots=True)
-class Effects:
+class Sensitivities:
     """How a value (k,) changes with everything calibrated."""
 
     by_lens: FloatArray

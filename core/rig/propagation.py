@@ -12,20 +12,20 @@ from core.geometry.lens import Lens
 from core.geometry.pose import Pose
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.paper import PaperModel
-from core.rig.posterior import Effects
+from core.rig.posterior import Sensitivities
 from core.rig.rigid import Rig, motion_by_pose, motion_by_reference
 from core.site import CameraGeometry
 
 DISC_FLOOR_PX = 0.0007
 """What a located disc is not trusted beyond, however low the noise."""
-MAIN_GEOMETRY = 5e-5
+MAIN_GEOMETRY_SHARE = 5e-5
 """Of a false shift: the main camera is modelled without distortion and with square pixels. Sites
 with pixels off square by 1 in 10,000, as simulated, have this error."""
 _MARGIN_PX = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Prediction:
+class ShiftPrediction:
     """False shift of each disc, with its derivatives."""
 
     shift_px: FloatArray
@@ -36,21 +36,23 @@ class Prediction:
     """(n, 2, m) by the parameters of the rig (8) or of the paper's model (9)."""
 
 
-def predict_shift(model: Rig | PaperModel, reference_px: FloatArray, motion: Pose) -> Prediction:
+def predict_shift(
+    model: Rig | PaperModel, reference_px: FloatArray, motion: Pose
+) -> ShiftPrediction:
     """Predict how the rig's motion shifts the image of a target at rest (Eq. 17)."""
     if isinstance(model, Rig):
         moved, by_motion, by_rig = model.move_jacobians(reference_px, motion)
-        return Prediction(moved - reference_px, by_motion, by_rig)
+        return ShiftPrediction(moved - reference_px, by_motion, by_rig)
     n = len(reference_px)
     by_motion, by_parameters = model.shift_jacobians(motion)
-    return Prediction(
+    return ShiftPrediction(
         np.tile(model.shift(motion), (n, 1)),
         np.tile(by_motion, (n, 1, 1)),
         np.tile(by_parameters, (n, 1, 1)),
     )
 
 
-def pose_follows(
+def sensitivity_through_pose(
     lens: Lens,
     pose: Pose,
     corners_mm: FloatArray,
@@ -74,15 +76,15 @@ def pose_follows(
     return through_lens, through_corners.transpose(1, 0, 2)
 
 
-def shift_effects(
+def shift_sensitivities(
     calibrated: CalibratedSite,
-    prediction: Prediction,
+    prediction: ShiftPrediction,
     which: IntArray,
     weights: FloatArray,
     pose: Pose,
     view: BoardView,
     root: FloatArray,
-) -> tuple[Effects, FloatArray]:
+) -> tuple[Sensitivities, FloatArray]:
     """How the discs' mean false place, (2,) px, follows the calibration, and the pose (2, 6).
 
     weights (n,) of the discs `which` sum to 1; root (corners seen, 2, 2) is what the pose was
@@ -93,14 +95,14 @@ def shift_effects(
     by_model = np.einsum("k,kab->ab", weights, prediction.by_model)
     by_pose = by_motion @ motion_by_pose(motion, calibrated.reference_pose)
     by_reference = by_motion @ motion_by_reference(motion, calibrated.reference_pose)
-    by_lens, by_corners = pose_follows(
+    by_lens, by_corners = sensitivity_through_pose(
         calibrated.lens, pose, calibrated.corners_mm, view, root, by_pose
     )
     by_discs = np.zeros((2, len(calibrated.reference_discs_px), 2))
     by_discs[:, which] = np.eye(2)[:, None] * weights[:, None]
-    floor = np.diag((MAIN_GEOMETRY * (weights @ prediction.shift_px)) ** 2)
+    floor = np.diag((MAIN_GEOMETRY_SHARE * (weights @ prediction.shift_px)) ** 2)
     return (
-        Effects(by_lens, by_model, by_reference, by_discs, view.index, by_corners, floor),
+        Sensitivities(by_lens, by_model, by_reference, by_discs, view.index, by_corners, floor),
         by_pose,
     )
 
@@ -111,7 +113,7 @@ def reference_noise(calibrated: CalibratedSite, camera: CameraGeometry) -> Float
     That is what is left of it once the errors of lens and board have had their effect.
     """
     view = expected_view(calibrated, camera, calibrated.reference_pose)
-    by_lens, by_corners = pose_follows(
+    by_lens, by_corners = sensitivity_through_pose(
         calibrated.lens,
         calibrated.reference_pose,
         calibrated.corners_mm,
@@ -121,10 +123,10 @@ def reference_noise(calibrated: CalibratedSite, camera: CameraGeometry) -> Float
     )
     nothing = np.zeros((6, len(calibrated.posterior.model)))
     no_discs = np.zeros((6, len(calibrated.reference_discs_px), 2))
-    effects = Effects(
+    sensitivities = Sensitivities(
         by_lens, nothing, np.zeros((6, 6)), no_discs, view.index, by_corners, np.zeros((6, 6))
     )
-    return calibrated.posterior.reference - effects.propagate(calibrated.posterior)
+    return calibrated.posterior.reference - sensitivities.propagate(calibrated.posterior)
 
 
 def expected_view(calibrated: CalibratedSite, camera: CameraGeometry, pose: Pose) -> BoardView:
@@ -137,9 +139,9 @@ def expected_view(calibrated: CalibratedSite, camera: CameraGeometry, pose: Pose
     return BoardView(index, points[index], noise)
 
 
-def expected_effects(
+def expected_sensitivities(
     calibrated: CalibratedSite, camera: CameraGeometry, motion: Pose
-) -> tuple[Effects, FloatArray]:
+) -> tuple[Sensitivities, FloatArray]:
     """What a row would have after this rig motion: effects, and the image noise (2, 2) px^2.
 
     The discs all count alike.
@@ -150,8 +152,10 @@ def expected_effects(
     prediction = predict_shift(calibrated.model, calibrated.reference_discs_px[which], motion)
     weights = np.full(len(which), 1.0 / len(which))
     root = view.whitening()
-    effects, by_pose = shift_effects(calibrated, prediction, which, weights, pose, view, root)
+    sensitivities, by_pose = shift_sensitivities(
+        calibrated, prediction, which, weights, pose, view, root
+    )
     jacobian = root @ pose_jacobian(calibrated.lens, pose, calibrated.corners_mm[view.index])[1]
     flat = jacobian.reshape(-1, 6)
     noise = by_pose @ np.linalg.solve(flat.T @ flat, by_pose.T)
-    return effects, noise + 2.0 * DISC_FLOOR_PX**2 / len(which) * np.eye(2)
+    return sensitivities, noise + 2.0 * DISC_FLOOR_PX**2 / len(which) * np.eye(2)

@@ -73,14 +73,14 @@ def take_lens_views(bench: Bench, state: Path, on_view: OnView) -> Path:
             said = _look(bench, views)
             covered = lens_coverage(views.points_px, views.poses, bench.site.sub)
             on_view(covered, said)
-            if views.rows and not covered.wishes:
+            if views.rows and not covered.suggestions:
                 return views.directory
     finally:
         if bench.hold_board is not None:
             bench.hold_board(None)
     msg = (
         f"{len(views.rows)} lens views after {MOST_LOOKS} looks, still wanted: "
-        f"{covered.wishes[0]}; they are kept in {views.directory}"
+        f"{covered.suggestions[0]}; they are kept in {views.directory}"
     )
     raise HardwareError(msg)
 

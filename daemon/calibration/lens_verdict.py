@@ -59,7 +59,7 @@ def judge_lens(frames: FrameSet, site: Site, on_step: Callable[[str], None]) -> 
 
 
 def _verdict(calibration: LensCalibration, site: Site, left_out: list[str]) -> LensVerdict:
-    adjusted, lens = calibration.adjusted, calibration.lens
+    adjusted, lens = calibration.adjustment, calibration.lens
     sigmas = adjusted.posterior.lens_sigma
     focal_px, focal_sigma = float(lens.parameters[0]), float(sigmas[0] / lens.parameters[0])
     covered = lens_coverage(
@@ -68,7 +68,7 @@ def _verdict(calibration: LensCalibration, site: Site, left_out: list[str]) -> L
         site.sub,
     )
     rms_px = float(np.median(adjusted.view_rms_px))
-    problems = list(covered.wishes)
+    problems = list(covered.suggestions)
     if focal_sigma > MAX_FOCAL_SIGMA:
         problems.append(f"the focal length is known to {focal_sigma:.2%} only; tilt the board more")
     verdict = "lens views are enough" if not problems else "lens views are NOT enough"

@@ -290,8 +290,8 @@ def calibrate_intrinsics(
 
 def show_lens_view(covered: LensCoverage, said: str) -> None:
     """Tell whoever holds the board what became of the look, and what to show next."""
-    wish = f"; next: {covered.wishes[0]}" if covered.wishes else "; enough"
-    note(f"{said}; {covered.covered:.0%} of the image covered{wish}")
+    more = f"; next: {covered.suggestions[0]}" if covered.suggestions else "; enough"
+    note(f"{said}; {covered.covered:.0%} of the image covered{more}")
 
 
 @contextmanager

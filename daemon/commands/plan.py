@@ -8,21 +8,21 @@ from typing import Any
 import click
 import numpy as np
 
-from core.calibration.observability import further_motion
+from core.calibration.observability import suggest_motion
 from core.errors import CoreError
 from core.geometry.pose import Pose
-from core.planning.drawing import Campaign, Drawing, ImageQuality
-from core.planning.field_of_view import FieldOfView, field_of_view, warnings_of
+from core.planning.field_of_view import FieldOfView, field_of_view, planning_warnings
+from core.planning.planned_site import CalibrationPlan, ImageQuality, PlannedSite
 from core.planning.predicted_accuracy import (
+    ErrorCause,
     Improvement,
-    Limit,
     PredictedAccuracy,
-    calibrate_drawing,
     drift_rows,
+    error_causes,
     improvements,
-    limits_of,
     possible_changes,
-    predict,
+    predict_accuracy,
+    predict_calibration,
     require_in_view,
 )
 from core.site import Site
@@ -43,11 +43,11 @@ class Plan:
     """Everything that is told."""
 
     site: Site
-    campaign: Campaign
-    room: FieldOfView
+    calibration_plan: CalibrationPlan
+    view: FieldOfView
     predicted: PredictedAccuracy | None
     """None where the plan cannot be calibrated."""
-    limits: tuple[Limit, ...]
+    limits: tuple[ErrorCause, ...]
     improvements: tuple[Improvement, ...]
     further: str | None
     warnings: tuple[str, ...]
@@ -128,27 +128,30 @@ def make_plan(
     reach_deg: tuple[float, float] | None = None,
 ) -> Plan:
     """Plan a site."""
-    drawing = Drawing(site, quality)
-    room = field_of_view(drawing)
-    campaign = Campaign(lens_views, ())
+    planned = PlannedSite(site, quality)
+    view = field_of_view(planned)
+    calibration_plan = CalibrationPlan(lens_views, ())
     try:
-        require_in_view(drawing)
-        campaign = Campaign(lens_views, _positions(drawing, reach_deg))
-        calibrated = calibrate_drawing(drawing, campaign)
-        rows = drift_rows(drawing, calibrated)
+        require_in_view(planned)
+        calibration_plan = CalibrationPlan(lens_views, _positions(planned, reach_deg))
+        calibrated = predict_calibration(planned, calibration_plan)
+        rows = drift_rows(planned, calibrated)
     except CoreError as error:
-        warnings = tuple(warnings_of(drawing, campaign, room))
-        return Plan(site, campaign, room, None, (), (), None, warnings, str(error))
-    predicted = predict(rows, calibrated.posterior)
-    warnings = (*warnings_of(drawing, campaign, room), *_sigma_warnings(predicted, site))
+        warnings = tuple(planning_warnings(planned, calibration_plan, view))
+        return Plan(site, calibration_plan, view, None, (), (), None, warnings, str(error))
+    predicted = predict_accuracy(rows, calibrated.posterior)
+    warnings = (
+        *planning_warnings(planned, calibration_plan, view),
+        *_sigma_warnings(predicted, site),
+    )
     return Plan(
         site,
-        campaign,
-        room,
+        calibration_plan,
+        view,
         predicted,
-        limits_of(drawing, calibrated, rows),
-        improvements(predicted, possible_changes(drawing, campaign)),
-        further_motion(calibrated, site),
+        error_causes(planned, calibrated, rows),
+        improvements(predicted, possible_changes(planned, calibration_plan)),
+        suggest_motion(calibrated, site),
         warnings,
     )
 
@@ -165,12 +168,12 @@ def _sigma_warnings(predicted: PredictedAccuracy, site: Site) -> tuple[str, ...]
 
 
 def _positions(
-    drawing: Drawing, reach_deg: tuple[float, float] | None
+    planned: PlannedSite, reach_deg: tuple[float, float] | None
 ) -> tuple[tuple[float, float], ...]:
     """Head positions: those of `calibrate --pan-tilt`, or the same grid reaching further."""
     if reach_deg is None:
-        discs = drawing.see_discs(Pose.identity())
-        return tuple(planned_positions(drawing.site, discs, HEAD_LIMITS))
+        discs = planned.predict_discs(Pose.identity())
+        return tuple(planned_positions(planned.site, discs, HEAD_LIMITS))
     pan, tilt = reach_deg
     return tuple(
         (float(p), float(t)) for t in np.linspace(-tilt, tilt, 3) for p in np.linspace(-pan, pan, 7)
@@ -197,21 +200,21 @@ def say_plan(plan: Plan) -> None:
 
 
 def _camera_rows(plan: Plan) -> list[tuple[str, str, str]]:
-    room, site = plan.room, plan.site
+    view, site = plan.view, plan.site
     return [
         ("distance", f"{site.main_target.distance_mm:g} mm", f"{site.sub_target.distance_mm:g} mm"),
-        ("scale", f"{room.main_px_per_mm:.3g} px/mm", f"{room.sub_px_per_mm:.3g} px/mm"),
+        ("scale", f"{view.main_px_per_mm:.3g} px/mm", f"{view.sub_px_per_mm:.3g} px/mm"),
         (
             "pixel",
-            f"{1.0 / room.main_px_per_mm:.3g} mm",
-            f"{1.0 / room.sub_px_per_mm:.3g} mm",
+            f"{1.0 / view.main_px_per_mm:.3g} mm",
+            f"{1.0 / view.sub_px_per_mm:.3g} mm",
         ),
-        ("field of view", _times(room.main_field_mm), _times(room.sub_field_mm)),
-        ("target", f"discs of {room.disc_px:.0f} px", f"squares of {room.square_px:.1f} px"),
+        ("field of view", _times(view.main_field_mm), _times(view.sub_field_mm)),
+        ("target", f"discs of {view.disc_px:.0f} px", f"squares of {view.square_px:.1f} px"),
         (
             "in view",
             f"{len(site.main_target.centres_mm)} discs",
-            f"{room.corners_seen} of {room.corners} corners",
+            f"{view.corners_seen} of {view.corners} corners",
         ),
     ]
 
@@ -221,22 +224,23 @@ def _times(size_mm: Any) -> str:
 
 
 def _room_lines(plan: Plan) -> list[str]:
-    room, positions = plan.room, plan.campaign.positions_deg
+    view, positions = plan.view, plan.calibration_plan.positions_deg
     drift_mm = plan.site.quality.expected_drift_mm
-    turn = _pair(room.rig_turn_mrad, "mrad of pan", "mrad of tilt", 1)
-    eq5 = f"Eq. 5, error of the paper's model: {room.affine_error_px:.2g} px, 1 px at most,"
+    turn = _pair(view.rig_turn_mrad, "mrad of pan", "mrad of tilt", 1)
+    eq5 = f"Eq. 5, error of the paper's model: {view.affine_error_px:.2g} px, 1 px at most,"
     lines = [
-        f"room of the main target: {_pair(room.target_travel_mm)} before it leaves its image;",
-        f"  {room.drift_mm:.0f} mm of it for the expected drift of the rig, the rest the bridge's",
+        f"room of the main target: {_pair(view.target_travel_mm)} before it leaves its image;",
+        f"  {view.drift_mm:.0f} mm of it for the expected drift of the rig, the rest the bridge's",
         f"room of the rig: {turn} before the main target leaves;",
-        f"  {_pair(room.rig_shift_mm)} before half of the board has left",
+        f"  {_pair(view.rig_shift_mm)} before half of the board has left",
         f"{eq5} where the rig drifts {drift_mm:g} mm along the view",
     ]
     if positions:
         reach = np.abs(np.array(positions)).max(axis=0)
         lines.append(
-            f"calibration: {plan.campaign.lens_views} lens views, {len(positions)} positions of "
-            f"the head within {_pair(reach, 'deg of pan', 'deg of tilt', 2)}"
+            f"calibration: {plan.calibration_plan.lens_views} lens views, "
+            f"{len(positions)} positions of the head within "
+            f"{_pair(reach, 'deg of pan', 'deg of tilt', 2)}"
         )
     return lines
 
@@ -289,7 +293,7 @@ def _say_better(plan: Plan, predicted: PredictedAccuracy) -> None:
 
 def plan_fields(plan: Plan) -> dict[str, Any]:
     """A plan in plain JSON types."""
-    room = {f.name: _plain(getattr(plan.room, f.name)) for f in fields(plan.room)}
+    view = {f.name: _plain(getattr(plan.view, f.name)) for f in fields(plan.view)}
     predicted = None
     if plan.predicted is not None:
         predicted = {
@@ -300,9 +304,9 @@ def plan_fields(plan: Plan) -> dict[str, Any]:
             "motions": [asdict(motion) for motion in plan.predicted.motions],
         }
     return {
-        **room,
-        "lens_views": plan.campaign.lens_views,
-        "positions_deg": [list(position) for position in plan.campaign.positions_deg],
+        **view,
+        "lens_views": plan.calibration_plan.lens_views,
+        "positions_deg": [list(position) for position in plan.calibration_plan.positions_deg],
         "predicted": predicted,
         "limits": [asdict(limit) for limit in plan.limits],
         "improvements": [asdict(improvement) for improvement in plan.improvements],

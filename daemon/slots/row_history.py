@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from datetime import datetime
 
-from core.quality.residual_ratio import WINDOW
-from core.quality.step_detection import Continuity, Sample, sample_of, with_reasons
+from core.quality.residual_ratio import WINDOW_ROWS
+from core.quality.step_detection import RowSummary, StepDetector, add_reasons, summarise_row
 from core.results import Measurement
 from core.site import QualityLimits
 from daemon.slots.measuring import ActiveCalibration
@@ -20,19 +20,19 @@ class RowHistory:
         self,
         calibration: ActiveCalibration,
         limits: QualityLimits,
-        so_far: Continuity | None = None,
+        so_far: StepDetector | None = None,
     ) -> None:
         self._calibrated = calibration.calibration.calibrated
         self._limits = limits
-        self.so_far = so_far or Continuity()
+        self.so_far = so_far or StepDetector()
 
     def judge(self, slot_utc: datetime, measurement: Measurement) -> Measurement:
         """Give the measurement with what the rows before make of it."""
-        sample = sample_of(self._calibrated, measurement, slot_utc.timestamp())
+        sample = summarise_row(self._calibrated, measurement, slot_utc.timestamp())
         if sample is None:
             return measurement
         reasons, self.so_far = self.so_far.judge(sample, self._limits)
-        return with_reasons(measurement, reasons)
+        return add_reasons(measurement, reasons)
 
 
 def judge_in_history(
@@ -51,21 +51,21 @@ def judge_in_history(
 
 def stored_continuity(
     store: Store, calibration: ActiveCalibration, slot_utc: datetime
-) -> Continuity:
+) -> StepDetector:
     """Give what the database knows of the rows before a slot. Raises StoreError."""
     if calibration.id is None:
-        return Continuity()
+        return StepDetector()
     calibrated = calibration.calibration.calibrated
 
-    def sample(row: MeasurementRecord) -> Sample | None:
-        return sample_of(calibrated, row.measurement, row.slot_utc.timestamp())
+    def sample(row: MeasurementRecord) -> RowSummary | None:
+        return summarise_row(calibrated, row.measurement, row.slot_utc.timestamp())
 
-    believed = store.rows_before(slot_utc, calibration.id, BELIEVED, WINDOW)
+    believed = store.rows_before(slot_utc, calibration.id, BELIEVED, WINDOW_ROWS)
     history = tuple(known for known in map(sample, believed) if known is not None)
     if not believed:
-        return Continuity()
+        return StepDetector()
     slipped = store.rows_before(slot_utc, calibration.id, SLIPPED, 1)
     if not slipped or slipped[0].slot_utc < believed[-1].slot_utc:
-        return Continuity.resumed(history, None, None)
+        return StepDetector.resumed(history, None, None)
     first = store.first_row_after(believed[-1].slot_utc, calibration.id, SLIPPED[0]) or slipped[0]
-    return Continuity.resumed(history, sample(first), sample(slipped[0]))
+    return StepDetector.resumed(history, sample(first), sample(slipped[0]))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from core.quality.residual_ratio import WINDOW, lasting_residual_ratio, residual_ratio
+from core.quality.residual_ratio import WINDOW_ROWS, median_residual_ratio, residual_ratio
 from daemon.clock.machine import read_boot_id, uptime_s
 from daemon.clock.time_sync import clock_is_synchronised
 from daemon.config.reading import Config
@@ -164,7 +164,7 @@ def _continuity(
     if last is None or calibration is None:
         return None, None
     since = last.slot_utc - MONTH
-    believed = overview.fits(calibration.id, BELIEVED, since, WINDOW)
+    believed = overview.fits(calibration.id, BELIEVED, since, WINDOW_ROWS)
     if not believed:
         return None, None
     slipped = overview.fits(calibration.id, SLIPPED, believed[-1].slot_utc, 1)
@@ -175,7 +175,7 @@ def _continuity(
         residual_ratio(levels[0], levels[1], fit.sub_residual_px, fit.sub_contrast_dn)
         for fit in believed
     ]
-    return lasting_residual_ratio(residual_ratios), slipped[-1].slot_utc if slipped else None
+    return median_residual_ratio(residual_ratios), slipped[-1].slot_utc if slipped else None
 
 
 def dcamd_runs(state: Path) -> bool | None:

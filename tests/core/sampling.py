@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from core.adjustment.bundle_adjustment import Adjusted, AdjustmentPriors, adjust
+from core.adjustment.bundle_adjustment import AdjustmentPriors, AdjustmentResult, adjust
 from core.arrays import FloatArray
-from core.calibration.joint_fit import drawn_rig, rig_prior
+from core.calibration.joint_fit import nominal_rig, rig_prior
 from core.checkerboard.board import Board
 from core.checkerboard.board_shape import board_terms, shape_sigmas
 from core.checkerboard.resection import BoardView
@@ -29,7 +29,7 @@ LINE_MM, CORNER_MM = 0.006, 0.002
 SITE = small_site(sub_target=CheckerboardTarget(10, 8, 4.0, 50.0))
 BOARD = Board.nominal(SITE.sub_target)
 B = SITE.nominal_px_per_mm * np.diag([1.0, -1.0])
-DRAWN = drawn_rig(SITE, B)
+DRAWN = nominal_rig(SITE, B)
 PRIORS = AdjustmentPriors(
     lens=lens_prior(SITE.sub), rig=rig_prior(SITE), discs_px=np.full(5, DISC_PX)
 )
@@ -87,7 +87,7 @@ def head_motion(pan_rad: float, tilt_rad: float) -> Pose:
     return pan.compose(tilt)
 
 
-def held_pose(rng: np.random.Generator) -> Pose:
+def lens_view_pose(rng: np.random.Generator) -> Pose:
     """`T_CS_WS` of the board in the hand."""
     axis = rng.normal(size=2)
     tilt = np.radians(25.0) * np.sqrt(rng.uniform(0.2, 1.0)) * axis / np.hypot(*axis)
@@ -96,11 +96,11 @@ def held_pose(rng: np.random.Generator) -> Pose:
     return Pose(R, middle - R @ [20.0, 16.0, 0.0])
 
 
-def calibrated(truth: Truth, rng: np.random.Generator) -> tuple[CalibratedSite, Adjusted]:
+def calibrated(truth: Truth, rng: np.random.Generator) -> tuple[CalibratedSite, AdjustmentResult]:
     """What the adjustment makes of six lens views, the reference and six head positions."""
     motions = [head_motion(*rng.uniform(-2e-3, 2e-3, 2)) for _ in range(6)]
     poses = [truth.reference, *(m.compose(truth.reference) for m in motions)]
-    poses += [held_pose(rng) for _ in range(6)]
+    poses += [lens_view_pose(rng) for _ in range(6)]
     views = [truth.see_board(pose, rng) for pose in poses]
     reference_px = truth.see_discs(Pose.identity(), np.zeros(2), rng)
     main = [None]

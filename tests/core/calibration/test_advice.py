@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from core.calibration.calibrate import calibrate
-from core.calibration.observability import drift_errors, further_motion
+from core.calibration.observability import drift_errors, suggest_motion
 from drivers.sim.settings import SimSettings
 from drivers.sim.world import World
 from tests.core.scenes import head_positions, small_site
@@ -20,7 +20,7 @@ def test_small_turns_ask_for_a_roll() -> None:
     world = World(site, SimSettings(seed=3))
     views = all_views(world, 5, 0.2 * head_positions(site, 6))
     calibration, report = calibrate(views, site)
-    advice = further_motion(calibration.calibrated, site)
+    advice = suggest_motion(calibration.calibrated, site)
     assert advice is not None
     assert "rotation about z" in advice
     assert advice in report.lines
@@ -33,4 +33,4 @@ def test_a_sure_calibration_asks_for_nothing(field: Session) -> None:
     posterior = calibrated.posterior.times(1e-4 * np.eye(columns))
     sure = replace(calibrated, posterior=replace(posterior, own_mm2=1e-8 * posterior.own_mm2))
     assert max(error.calibration_mm for error in drift_errors(sure, field.site)) < 2e-3
-    assert further_motion(sure, field.site) is None
+    assert suggest_motion(sure, field.site) is None

@@ -15,7 +15,7 @@ from core.geometry.pose import Pose
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.compensation import corrected_displacement
 from core.rig.posterior import Posterior
-from core.rig.propagation import expected_effects
+from core.rig.propagation import expected_sensitivities
 from tests.core.sampling import SITE, Truth, calibrated, discs_of, draw, head_motion
 
 
@@ -52,7 +52,7 @@ def test_a_compressed_posterior_gives_the_same_sigma(known: tuple[Truth, Calibra
     """Stored are the few directions that rows can feel; motions never asked about feel no other."""
     truth, calibrated = known
     effects = [
-        expected_effects(calibrated, SITE.sub, motion)[0].propagate(calibrated.posterior)
+        expected_sensitivities(calibrated, SITE.sub, motion)[0].propagate(calibrated.posterior)
         for motion in drift_motions(SITE.quality)
     ]
     small = calibrated.posterior.compressed(np.concatenate(effects))

@@ -9,7 +9,7 @@ import pytest
 
 from core.calibration.calibrate import calibrate
 from core.calibration.reference_index import place_reference
-from core.calibration.views import Views, find_targets, relocate
+from core.calibration.views import Views, find_targets, relocate_corners
 from core.checkerboard.board import Board
 from core.site import CheckerboardTarget
 from drivers.sim.settings import SimSettings
@@ -34,7 +34,7 @@ def test_a_board_higher_than_the_image_and_off_its_middle_calibrates() -> None:
 def seen(lab: Session) -> tuple[Views, Board]:
     board = Board.nominal(lab.site.sub_target)
     views, _ = find_targets(lab.views, lab.site, board)
-    return relocate(views, lab.calibration.calibrated.lens, board), board
+    return relocate_corners(views, lab.calibration.calibrated.lens, board), board
 
 
 def _named(views: Views, board: Board, right: int, down: int) -> tuple[Views, Views]:

@@ -87,10 +87,10 @@ def test_wrong_views_are_rejected_and_no_others(name: str, seed: int) -> None:
     assert all("does not fit the other views" in reasons[k] for k in (9, 12))
     assert (found.lens.model is LensModel.FISHEYE) == (name == "fisheye")
     off = np.abs(found.lens.parameters[:2] - lens.parameters[:2])
-    assert (off < 4.0 * found.adjusted.posterior.lens_sigma[:2]).all()
+    assert (off < 4.0 * found.adjustment.posterior.lens_sigma[:2]).all()
     assert (off < 0.01 * lens.parameters[:2]).all()
-    for k, pose in zip(found.used, found.adjusted.poses, strict=True):
-        corners_px = found.lens.project(pose.apply(found.adjusted.corners_mm))
+    for k, pose in zip(found.used, found.adjustment.poses, strict=True):
+        corners_px = found.lens.project(pose.apply(found.adjustment.corners_mm))
         assert np.hypot(*(corners_px - true[k].reshape(-1, 2)).T).mean() < 0.1
 
 

@@ -11,13 +11,13 @@ import pytest
 from benchmarks import sites
 from core.arrays import FloatArray
 from core.calibration.views import ViewRole
-from core.planning.drawing import Campaign, Drawing, ImageQuality
+from core.planning.planned_site import CalibrationPlan, ImageQuality, PlannedSite
 from core.planning.predicted_accuracy import (
     FrameNoise,
-    calibrate_drawing,
     drift_rows,
-    limits_of,
-    predict,
+    error_causes,
+    predict_accuracy,
+    predict_calibration,
 )
 from core.site import QualityLimits
 
@@ -28,13 +28,13 @@ DRIFT = QualityLimits(expected_drift_mrad=1.6, expected_drift_mm=2.4)
 """As far as the simulated sites drift."""
 
 
-def drawn(case: sites.Case, seed: int) -> tuple[Drawing, Campaign]:
+def drawn(case: sites.Case, seed: int) -> tuple[PlannedSite, CalibrationPlan]:
     """A simulated site as drawn, and its calibration."""
     site = replace(sites.make_site(case, seed)[0], quality=DRIFT)
     taken = list(sites.shots(case, site, seed))
     positions = tuple(shot.head_deg for shot in taken if shot.role is ViewRole.RIG)
     lens_views = sum(shot.role is ViewRole.INTRINSICS for shot in taken)
-    return Drawing(site, QUALITY), Campaign(lens_views, positions)
+    return PlannedSite(site, QUALITY), CalibrationPlan(lens_views, positions)
 
 
 def told_mm(rows: Sequence[sites.Row]) -> FloatArray:
@@ -44,10 +44,10 @@ def told_mm(rows: Sequence[sites.Row]) -> FloatArray:
 
 def predicted_mm(case: sites.Case, seed: int) -> FloatArray:
     """(2,) sigma of x and y for the rig anywhere within the drift."""
-    drawing, campaign = drawn(case, seed)
-    calibrated = calibrate_drawing(drawing, campaign)
+    planned, calibration_plan = drawn(case, seed)
+    calibrated = predict_calibration(planned, calibration_plan)
     noise = FrameNoise(0.0, 0.0) if case.quiet_rows else FrameNoise()
-    return predict(drift_rows(drawing, calibrated), calibrated.posterior, noise).drifted_mm
+    return predict_accuracy(drift_rows(planned, calibrated), calibrated.posterior, noise).drifted_mm
 
 
 @pytest.mark.parametrize("kind", ["lab", "field"])
@@ -75,15 +75,15 @@ def test_calibrations_know_as_much_as_predicted(kind: sites.Kind) -> None:
 
 def test_a_cause_taken_away_leaves_what_was_said() -> None:
     """What is predicted without a cause is predicted of a site that has it not."""
-    drawing, campaign = drawn(sites.Case("field", shrink=4.0), 1)
-    calibrated = calibrate_drawing(drawing, campaign)
-    rows = drift_rows(drawing, calibrated)
-    now = predict(rows, calibrated.posterior).typical_mm
-    without = {limit.cause: limit.without_mm for limit in limits_of(drawing, calibrated, rows)}
-    known = replace(drawing.site.rig, rotation_sigma_deg=1e-5)
-    other = replace(drawing, site=replace(drawing.site, rig=known))
-    again = calibrate_drawing(other, campaign)
-    left = predict(drift_rows(other, again), again.posterior).typical_mm
+    planned, calibration_plan = drawn(sites.Case("field", shrink=4.0), 1)
+    calibrated = predict_calibration(planned, calibration_plan)
+    rows = drift_rows(planned, calibrated)
+    now = predict_accuracy(rows, calibrated.posterior).typical_mm
+    without = {limit.cause: limit.without_mm for limit in error_causes(planned, calibrated, rows)}
+    known = replace(planned.site.rig, rotation_sigma_deg=1e-5)
+    other = replace(planned, site=replace(planned.site, rig=known))
+    again = predict_calibration(other, calibration_plan)
+    left = predict_accuracy(drift_rows(other, again), again.posterior).typical_mm
     assert left < 0.99 * now
     assert without["rotation between the cameras"] == pytest.approx(left, rel=1e-3)
     assert min(without, key=without.__getitem__) == "noise of a frame's pose (sub-camera)"

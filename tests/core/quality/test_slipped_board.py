@@ -9,7 +9,7 @@ from core.checkerboard.corners import locate_board
 from core.checkerboard.resection import BoardView, resect
 from core.images import GreyImage
 from core.measurement import measure_pair
-from core.quality.print_fingerprint import missing_print
+from core.quality.print_fingerprint import print_mismatch
 from core.results import Flag, Reason
 from drivers.sim.settings import Print, SimSettings
 from tests.core.scenes import MINUTE, grey
@@ -55,11 +55,11 @@ def test_corners_named_a_period_off_lack_the_calibrated_print_errors(lab, square
         (row * calibrated.board.columns + column)[there], seen.points_px, seen.covariance_px2
     )
     assert (
-        missing_print(calibrated, view, resect(calibrated.lens, calibrated.corners_mm, view))[0]
+        print_mismatch(calibrated, view, resect(calibrated.lens, calibrated.corners_mm, view))[0]
         < 0.1
     )
     assert (
-        missing_print(calibrated, named, resect(calibrated.lens, calibrated.corners_mm, named))[0]
+        print_mismatch(calibrated, named, resect(calibrated.lens, calibrated.corners_mm, named))[0]
         > 0.35
     )
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from core.arrays import FloatArray
-from core.quality.step_detection import Continuity, Sample, sample_of
+from core.quality.step_detection import RowSummary, StepDetector, summarise_row
 from core.results import Reason
 from core.site import QualityLimits
 from drivers.sim.settings import SimSettings
@@ -66,9 +66,9 @@ def judged(
     shifted = np.zeros_like(true)
     shifted[when] = slip_mm
     noise = rng.normal(0.0, SIGMA_MM / 2, true.shape)
-    state, reasons = Continuity(), []
+    state, reasons = StepDetector(), []
     for k in range(len(true)):
-        now = Sample(
+        now = RowSummary(
             60.0 * k,
             true[k] - shifted[k] - noise[k],
             false[k] + shifted[k] + noise[k],
@@ -95,10 +95,10 @@ def test_what_moves_as_it_always_did_is_no_slip(kind: Callable[..., Rows], rows:
 @pytest.mark.parametrize("known", [5, 10, 30])
 def test_what_went_on_in_a_gap_longer_than_the_rows_before_is_no_slip(known: int):
     """Rig and bridge drift against each other, evenly; half an hour of darkness lies between."""
-    state = Continuity()
+    state = StepDetector()
     for minute in [*range(known), *range(known + 30, known + 60)]:
         level = np.array([0.02, 0.05]) * minute
-        now = Sample(
+        now = RowSummary(
             60.0 * minute, -level, level, 0.1 * level, np.full(3, SIGMA_MM), 1.0, trusted=True
         )
         said, state = state.judge(now, QualityLimits())
@@ -136,14 +136,14 @@ def test_a_slip_is_told_until_it_is_undone(
     assert np.mean(after) > 0.97
 
 
-def samples(count: int, **changes: object) -> list[Sample]:
+def samples(count: int, **changes: object) -> list[RowSummary]:
     at_rest = {"mm": np.zeros(2), "false_mm": np.zeros(2), "slide_mm": np.zeros(2)}
     fields = {**at_rest, "sigma_mm": np.full(3, SIGMA_MM), "residual_ratio": 1.0, "trusted": True}
-    return [Sample(time_s=60.0 * k, **{**fields, **changes}) for k in range(count)]
+    return [RowSummary(time_s=60.0 * k, **{**fields, **changes}) for k in range(count)]
 
 
 def test_corners_that_fit_badly_for_long_are_told():
-    state, said = Continuity(), ()
+    state, said = StepDetector(), ()
     for row in samples(40, residual_ratio=2.3):
         said, state = state.judge(row, QualityLimits())
     assert said == (Reason.CALIBRATION_DRIFTING,)
@@ -151,10 +151,10 @@ def test_corners_that_fit_badly_for_long_are_told():
 
 
 def test_a_target_that_moves_faster_than_it_may_is_told():
-    state = Continuity()
+    state = StepDetector()
     for row in samples(10):
         _, state = state.judge(row, QualityLimits(max_step_mm=2.0))
-    jumped = Sample(
+    jumped = RowSummary(
         600.0, np.array([0.0, 2.5]), *(np.zeros(2),) * 2, np.full(3, SIGMA_MM), 1.0, True
     )
     assert state.judge(jumped, QualityLimits())[0] == ()
@@ -169,11 +169,11 @@ def lab() -> Session:
 @pytest.mark.parametrize("squares", [(1, 0), (2, 0), (0, 2), (-3, 0), (0.35, 0.0), (0.0, 0.5)])
 def test_rendered_boards_that_slipped_are_never_good(lab: Session, squares: tuple[float, float]):
     """Ten rows, four minutes apart; the board slips after six of them."""
-    state, flagged = Continuity(), []
+    state, flagged = StepDetector(), []
     for k in range(10):
         lab.world.slip_board(*(2.0 * np.array(squares) * (k >= 6)))
         row = lab.row(lab.world.settings.start_utc + (60 + 4 * k) * MINUTE)
-        now = sample_of(lab.calibration.calibrated, row.measurement, 240.0 * k)
+        now = summarise_row(lab.calibration.calibrated, row.measurement, 240.0 * k)
         said = ()
         if now is not None:
             said, state = state.judge(now, lab.site.quality)

@@ -12,7 +12,7 @@ from core.checkerboard.resection import BoardView, resect
 from core.geometry.lens import Lens
 from core.geometry.pose import Pose
 from core.rig.compensation import corrected_displacement
-from core.rig.propagation import pose_follows
+from core.rig.propagation import sensitivity_through_pose
 from core.rig.rigid import Rig
 from tests.core.derivatives import by_differences
 from tests.core.sampling import BOARD, DISC_PX, SITE, calibrated, discs_of, draw
@@ -87,13 +87,13 @@ def test_the_views_teach_what_the_drawing_does_not() -> None:
 
 
 def test_pose_follows_lens_and_board_as_predicted() -> None:
-    """`pose_follows` against poses fitted anew with each parameter changed."""
+    """`sensitivity_through_pose` against poses fitted again with each parameter changed."""
     rng = np.random.default_rng(3)
     truth = draw(rng)
     px = truth.lens.project(truth.reference.apply(truth.corners_mm))
     n = len(px)
     view = BoardView(np.arange(n), px, np.tile(0.01**2 * np.eye(2), (n, 1, 1)))
-    by_lens, by_corners = pose_follows(
+    by_lens, by_corners = sensitivity_through_pose(
         truth.lens, truth.reference, truth.corners_mm, view, view.whitening(), np.eye(6)
     )
 

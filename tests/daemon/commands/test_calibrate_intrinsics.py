@@ -67,9 +67,9 @@ def test_the_tilt_that_is_missing_is_asked_for(missing: Pose, asked: str) -> Non
     far = missing.apply(np.array([[30.0, 0, 0], [-30.0, 0, 0], [0, 30.0, 0], [0, -30.0, 0]]))
     sides = ["the right", "the left", "the bottom", "the top"]
     assert sides[int(far[:, 2].argmax())] in asked  # the words mean what they say
-    wishes = lens_coverage([EVERYWHERE] * len(poses), poses, CAMERA).wishes
-    assert len(wishes) == 1
-    assert asked in wishes[0]
+    suggestions = lens_coverage([EVERYWHERE] * len(poses), poses, CAMERA).suggestions
+    assert len(suggestions) == 1
+    assert asked in suggestions[0]
 
 
 @pytest.mark.parametrize(
@@ -81,16 +81,18 @@ def test_the_tilt_that_is_missing_is_asked_for(missing: Pose, asked: str) -> Non
     ],
 )
 def test_the_part_of_the_image_that_is_missing_is_asked_for(keep: np.ndarray, asked: str) -> None:
-    wishes = lens_coverage([EVERYWHERE[keep]] * 12, [*ALL_WAYS, *ALL_WAYS[:4]], CAMERA).wishes
-    assert len(wishes) == 1
-    assert f"to the {asked} of the sub image" in wishes[0]
+    suggestions = lens_coverage(
+        [EVERYWHERE[keep]] * 12, [*ALL_WAYS, *ALL_WAYS[:4]], CAMERA
+    ).suggestions
+    assert len(suggestions) == 1
+    assert f"to the {asked} of the sub image" in suggestions[0]
 
 
 def test_when_all_is_covered_only_the_number_counts() -> None:
     poses = [*ALL_WAYS, *ALL_WAYS]
     for number in range(8, ENOUGH_VIEWS + 1):
-        wishes = lens_coverage([EVERYWHERE] * number, poses[:number], CAMERA).wishes
-        assert bool(wishes) == (number < ENOUGH_VIEWS)
+        suggestions = lens_coverage([EVERYWHERE] * number, poses[:number], CAMERA).suggestions
+        assert bool(suggestions) == (number < ENOUGH_VIEWS)
 
 
 def test_it_goes_on_until_the_views_are_enough_and_says_so(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import FloatArray
-from core.calibration.joint_fit import drawn_rig
+from core.calibration.joint_fit import nominal_rig
 from core.calibration.views import LensView, PairView, Views
 from core.checkerboard.board import Board
 from core.checkerboard.corners import LocatedBoard
@@ -72,7 +72,7 @@ class ImageQuality:
 
 
 @dataclass(frozen=True, slots=True)
-class Campaign:
+class CalibrationPlan:
     """The calibration that is planned."""
 
     lens_views: int
@@ -84,7 +84,7 @@ class Campaign:
 
 
 @dataclass(frozen=True, slots=True)
-class Drawing:
+class PlannedSite:
     """A site as drawn, seen without images."""
 
     site: Site
@@ -105,7 +105,7 @@ class Drawing:
     def rig(self) -> Rig:
         """The rig as drawn."""
         scale = self.site.nominal_px_per_mm
-        return drawn_rig(self.site, np.diag([scale, -scale]))
+        return nominal_rig(self.site, np.diag([scale, -scale]))
 
     @property
     def T_CS1_WS(self) -> Pose:
@@ -129,7 +129,7 @@ class Drawing:
         R = R @ Pose.from_vectors(np.array([0.0, pan, 0.0]), np.zeros(3)).R
         return Pose(R, pivot - R @ pivot)
 
-    def held_pose(self, number: int, count: int) -> Pose:
+    def lens_view_pose(self, number: int, count: int) -> Pose:
         """`T_CS_WS` of lens view `number`: tilted every way, near and far, all over the image."""
         target, camera = self.site.sub_target, self.site.sub
         size_mm = np.array([target.squares_x, target.squares_y]) * target.square_mm
@@ -147,7 +147,7 @@ class Drawing:
         middle = np.append(shift_px / camera.focal_px, 1.0) * depth_mm
         return Pose(R, middle - R @ np.append(size_mm / 2.0, 0.0))
 
-    def see_board(self, T_CS_WS: Pose) -> LocatedBoard:
+    def predict_board(self, T_CS_WS: Pose) -> LocatedBoard:
         """The corners in the sub image."""
         points_mm = T_CS_WS.apply(self.board.corners_mm)
         index = np.nonzero(self.lens.sees(points_mm))[0]
@@ -170,7 +170,7 @@ class Drawing:
             blur_px=q.blur_px,
         )
 
-    def see_discs(self, motion: Pose) -> Discs:
+    def predict_discs(self, motion: Pose) -> Discs:
         """The discs in the main image, the target at rest, the rig moved by `T_CSj_CS1`."""
         points = self.rig.move(self.reference_discs_px, motion)
         q, camera = self.quality, self.site.main
@@ -182,28 +182,30 @@ class Drawing:
         covariance = (q.disc_sigma_px(radius_px) ** 2)[:, None, None] * np.eye(2)
         return Discs(found, points, covariance, found.astype(float), q.contrast_dn, q.blur_px)
 
-    def see_pair(self, name: str, motion: Pose) -> PairView:
+    def predict_pair(self, name: str, motion: Pose) -> PairView:
         """Both targets."""
-        board = self.see_board(motion.compose(self.T_CS1_WS))
-        return PairView(name, _NO_IMAGE, board, self.see_discs(motion))
+        board = self.predict_board(motion.compose(self.T_CS1_WS))
+        return PairView(name, _NO_IMAGE, board, self.predict_discs(motion))
 
-    def poses(self, campaign: Campaign) -> list[Pose]:
+    def poses(self, calibration_plan: CalibrationPlan) -> list[Pose]:
         """`T_CS_WS` of all views of a calibration, in the order of `Views.all`."""
-        count = campaign.lens_views
-        moved = [self.head_motion(p).compose(self.T_CS1_WS) for p in campaign.positions_deg]
-        return [self.T_CS1_WS, *moved, *(self.held_pose(k, count) for k in range(count))]
+        count = calibration_plan.lens_views
+        moved = [self.head_motion(p).compose(self.T_CS1_WS) for p in calibration_plan.positions_deg]
+        return [self.T_CS1_WS, *moved, *(self.lens_view_pose(k, count) for k in range(count))]
 
-    def views(self, campaign: Campaign) -> Views:
+    def views(self, calibration_plan: CalibrationPlan) -> Views:
         """All views of a calibration."""
-        count = campaign.lens_views
+        count = calibration_plan.lens_views
         return Views(
-            self.see_pair("reference", Pose.identity()),
+            self.predict_pair("reference", Pose.identity()),
             tuple(
-                self.see_pair(f"rig {k + 1}", self.head_motion(position))
-                for k, position in enumerate(campaign.positions_deg)
+                self.predict_pair(f"rig {k + 1}", self.head_motion(position))
+                for k, position in enumerate(calibration_plan.positions_deg)
             ),
             tuple(
-                LensView(f"lens {k + 1}", _NO_IMAGE, self.see_board(self.held_pose(k, count)))
+                LensView(
+                    f"lens {k + 1}", _NO_IMAGE, self.predict_board(self.lens_view_pose(k, count))
+                )
                 for k in range(count)
             ),
         )
