@@ -10,4 +10,3 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.floating[Any]]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-ComplexArray = NDArray[np.complexfloating[Any, Any]]

@@ -11,6 +11,7 @@ from core.arrays import BoolArray, FloatArray, IntArray
 from core.checkerboard.board import Board
 from core.checkerboard.corner_fit import CORNER_REACH_SQUARES, CornerFits, locate_corners, shrink
 from core.checkerboard.lattice import (
+    BLIND_PX,
     IndexedLattice,
     Lattice,
     build_lattice,
@@ -18,7 +19,7 @@ from core.checkerboard.lattice import (
     index_near,
 )
 from core.checkerboard.map_kernels import TERMS, fit_maps
-from core.checkerboard.resection import MIN_CORNERS, BoardView, resect
+from core.checkerboard.resection import MIN_CORNERS, BoardView, resect, visible_corners
 from core.checkerboard.saddle_points import find_saddle_points
 from core.checkerboard.spurious_lines import without_spurious_lines
 from core.errors import TargetNotFoundError
@@ -36,8 +37,8 @@ _ROUGHLY = 1e-6
 _LEAST_SQUARE_PX = 9.0
 """Squares that are larger than this in a smaller image are found in it."""
 _MOST = 0.9
-_BLIND_PX, _BLIND_SHRUNK_PX = 12.0, 9.0
-"""So near to the edge of an image, and in px of a smaller one, no corner is found."""
+_BLIND_SHRUNK_PX = 9.0
+"""So near to the edge of a shrunk image, in its own px, no corner is found."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +166,7 @@ def _lattice(image: GreyImage, square_px: float = 0.0, wanted: int = 0) -> Latti
             saddles = find_saddle_points(_shrunk(image, factor))
             points = factor * saddles.points_px + 0.5 * (factor - 1)
             found = build_lattice(
-                replace(saddles, points_px=points), max(_BLIND_PX, _BLIND_SHRUNK_PX * factor)
+                replace(saddles, points_px=points), max(BLIND_PX, _BLIND_SHRUNK_PX * factor)
             )
             lattice = without_spurious_lines(found, width, height)
         except TargetNotFoundError as error:
@@ -240,13 +241,8 @@ def predict_corners(
     corner in squares as polynomials (u, v, u^2, u v, v^2) of the pixel's offset, fitted to a
     3 x 3 stencil of board points.
     """
-    index = np.nonzero(lens.sees(pose.apply(corners_mm)))[0]
-    points = lens.project(pose.apply(corners_mm[index]))
     height, width = shape
-    margin = 2.0
-    inside = (points > margin).all(axis=1)
-    inside &= (points[:, 0] < width - 1 - margin) & (points[:, 1] < height - 1 - margin)
-    index, points = index[inside], points[inside]
+    index, points = visible_corners(lens, pose, corners_mm, (width, height))
     steps = _STENCIL_SQUARES * np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
     around = corners_mm[index][:, None, :] + np.concatenate(
         [steps * board.square_mm, np.zeros((9, 1))], axis=1

@@ -15,7 +15,7 @@ from core.errors import TargetNotFoundError
 
 _NEIGHBOURS = 13
 _MIN_CORNERS = 12
-_BLIND_PX = 12.0
+BLIND_PX = 12.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +28,11 @@ class Lattice:
     """(n, 2)."""
     polarity: FloatArray
     """(n,) +1 where the square up and left of the corner is black."""
-    blind_px: float = _BLIND_PX
+    blind_px: float = BLIND_PX
     """Corners nearer than this to the edge of the image were not looked for."""
 
 
-def build_lattice(saddles: SaddlePoints, blind_px: float = _BLIND_PX) -> Lattice:
+def build_lattice(saddles: SaddlePoints, blind_px: float = BLIND_PX) -> Lattice:
     """Join saddles into the largest lattice. Raises TargetNotFoundError."""
     if len(saddles.points_px) < _MIN_CORNERS:
         msg = f"no checkerboard: only {len(saddles.points_px)} corner candidates in the image"

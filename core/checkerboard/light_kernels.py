@@ -20,8 +20,6 @@ BOX = 4
 _PARTS = 8
 """Of the two squares of one colour four quarters each."""
 _FEWEST_PARTS = 5
-_MISFIT_SHARE = 0.003
-"""Of the contrast: what light may be off from linear, rms."""
 _MISFIT_SIGMAS = 3.0
 _SLOPE_NOISE = 25.0
 """How many times the variance of the slopes may be what all quarters would give."""

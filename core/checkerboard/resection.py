@@ -13,6 +13,8 @@ from core.errors import TargetNotFoundError
 from core.geometry.lens import Lens
 from core.geometry.pose import Pose, skew_matrix
 
+MARGIN_PX = 2.0
+"""Nearer to the edge of an image no corner is measured: its edges would be cut off."""
 MIN_CORNERS = 8
 _BELIEVED_AS = 50.0
 """A prediction of the noise counts as so many residuals."""
@@ -126,6 +128,22 @@ def pose_jacobian(lens: Lens, pose: Pose, points_mm: FloatArray) -> tuple[FloatA
     by_pose[:, :, :3] = -by_camera_point @ skew_matrix(rotated)
     by_pose[:, :, 3:] = by_camera_point
     return projected, by_pose, by_camera_point @ pose.R, by_lens
+
+
+def visible_corners(
+    lens: Lens, pose: Pose, corners_mm: FloatArray, size_px: tuple[int, int]
+) -> tuple[IntArray, FloatArray]:
+    """Indices (n,) and images (n, 2), px, of the corners that a pose puts into an image.
+
+    corners_mm (m, 3); size_px is the image's width and height. Corners within MARGIN_PX of its
+    edge are left out.
+    """
+    in_camera = pose.apply(corners_mm)
+    index = np.nonzero(lens.sees(in_camera))[0]
+    points = lens.project(in_camera[index])
+    far = np.array(size_px) - 1.0 - MARGIN_PX
+    inside = ((points > MARGIN_PX) & (points < far)).all(axis=1)
+    return index[inside], points[inside]
 
 
 def resect(

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import bisect
 
 from core.arrays import BoolArray, FloatArray
 from core.geometry.pose import Pose
@@ -16,7 +17,8 @@ FEW_PX_SQUARE = 12.0
 """Smaller squares have edges that overlap in a blurred image."""
 FEW_PX_DISC = 12.0
 """Likewise the diameter of a disc."""
-_HALF = 0.5
+_SHIFT_STEP_MM = 0.01
+"""To this the travel of the rig is searched; it is printed to 0.1 mm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +56,7 @@ def field_of_view(planned: PlannedSite) -> FieldOfView:
     size = np.array([site.main.width_px, site.main.height_px], dtype=float)
     radius_mm = OUTLINE * 0.5 * float(target.diameters_mm.max())
     reach_mm = np.abs(target.centres_mm).max(axis=0) + radius_mm
-    travel = np.maximum(_HALF * size / scale - reach_mm, 0.0)
+    travel = np.maximum(0.5 * size / scale - reach_mm, 0.0)
     off_axis = float(np.abs(target.centres_mm).max()) * scale
     return FieldOfView(
         scale,
@@ -77,15 +79,15 @@ def _shift_to_half(planned: PlannedSite, axis: int) -> float:
     """How far the rig may shift along an axis until half of the corners have left the image."""
     at_rest = planned.predict_board(planned.T_CS1_WS).visible
     target = planned.site.sub_target
-    near, far = 0.0, 2.0 * target.square_mm * max(target.squares_x, target.squares_y)
-    for _ in range(12):
-        middle = _HALF * (near + far)
-        moved = Pose(np.eye(3), middle * np.eye(3)[axis]).compose(planned.T_CS1_WS)
-        if planned.predict_board(moved).visible >= _HALF * at_rest:
-            near = middle
-        else:
-            far = middle
-    return near
+
+    def enough(shift_mm: float) -> float:
+        moved = Pose(np.eye(3), shift_mm * np.eye(3)[axis]).compose(planned.T_CS1_WS)
+        return 1.0 if 2 * planned.predict_board(moved).visible >= at_rest else -1.0
+
+    if at_rest == 0:
+        return 0.0
+    out_of_view_mm = 2.0 * target.square_mm * max(target.squares_x, target.squares_y)
+    return float(bisect(enough, 0.0, out_of_view_mm, xtol=_SHIFT_STEP_MM))
 
 
 def planning_warnings(

@@ -12,7 +12,7 @@ from core.calibration.joint_fit import nominal_rig
 from core.calibration.views import LensView, PairView, Views
 from core.checkerboard.board import Board
 from core.checkerboard.corners import LocatedBoard
-from core.checkerboard.resection import BoardView
+from core.checkerboard.resection import BoardView, visible_corners
 from core.discs.disc_finder import Discs
 from core.geometry.lens import Lens
 from core.geometry.pose import Pose
@@ -26,7 +26,6 @@ PIVOT_BELOW_MM = 100.0
 HELD_TILT_DEG = 25.0
 HELD_NEAR, HELD_FAR = 1.05, 1.4
 """A board in the hand is held at these multiples of the distance at which it fills the image."""
-MARGIN_PX = 2.0
 OUTLINE = 1.2
 """Of a disc's radius: its edge must be in the image with what is around it."""
 _GOLDEN_RAD = math.pi * (3.0 - math.sqrt(5.0))
@@ -149,13 +148,11 @@ class PlannedSite:
 
     def predict_board(self, T_CS_WS: Pose) -> LocatedBoard:
         """The corners in the sub image."""
-        points_mm = T_CS_WS.apply(self.board.corners_mm)
-        index = np.nonzero(self.lens.sees(points_mm))[0]
-        points = self.lens.project(points_mm[index])
-        size = np.array([self.site.sub.width_px, self.site.sub.height_px])
-        inside = ((points > MARGIN_PX) & (points < size - 1.0 - MARGIN_PX)).all(axis=1)
-        index, points = index[inside], points[inside]
-        square_px = self.site.sub.focal_px * self.site.sub_target.square_mm / points_mm[index, 2]
+        size_px = self.site.sub.width_px, self.site.sub.height_px
+        corners_mm = self.board.corners_mm
+        index, points = visible_corners(self.lens, T_CS_WS, corners_mm, size_px)
+        depth_mm = T_CS_WS.apply(corners_mm[index])[:, 2]
+        square_px = self.site.sub.focal_px * self.site.sub_target.square_mm / depth_mm
         variance = self.quality.corner_sigma_px(square_px) ** 2
         view = BoardView(index, points, variance[:, None, None] * np.eye(2))
         q = self.quality

@@ -16,7 +16,6 @@ from core.lens_model import LensModel
 from core.rig.paper import PaperModel
 from core.rig.posterior import Posterior
 from core.rig.rigid import Rig
-from core.site import CheckerboardTarget
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +82,7 @@ class CalibratedSite:
         squares_x, squares_y, square_mm = data["board"]
         discs = [[np.nan, np.nan] if p is None else p for p in data["reference_discs_px"]]
         return cls(
-            Board.nominal(CheckerboardTarget(int(squares_x), int(squares_y), square_mm, 0.0)),
+            Board.of_squares(int(squares_x), int(squares_y), square_mm),
             np.array(data["corners_mm"]),
             _lens_from_dict(data["lens"]),
             _pose_from_dict(data["reference_pose"]),
@@ -95,9 +94,7 @@ class CalibratedSite:
         )
 
 
-def _lens_from_dict(data: dict[str, Any] | list[float]) -> Lens:
-    if isinstance(data, list):  # format 1 knew one model only
-        return Lens(np.array(data), LensModel.BROWN)
+def _lens_from_dict(data: dict[str, Any]) -> Lens:
     return Lens(np.array(data["parameters"]), LensModel(data["model"]))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import FloatArray, IntArray
-from core.checkerboard.resection import BoardView, pose_jacobian
+from core.checkerboard.resection import BoardView, pose_jacobian, visible_corners
 from core.geometry.lens import Lens
 from core.geometry.pose import Pose
 from core.rig.calibrated_site import CalibratedSite
@@ -21,7 +21,6 @@ DISC_FLOOR_PX = 0.0007
 MAIN_GEOMETRY_SHARE = 5e-5
 """Of a false shift: the main camera is modelled without distortion and with square pixels. Sites
 with pixels off square by 1 in 10,000, as simulated, have this error."""
-_MARGIN_PX = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,12 +130,10 @@ def reference_noise(calibrated: CalibratedSite, camera: CameraGeometry) -> Float
 
 def expected_view(calibrated: CalibratedSite, camera: CameraGeometry, pose: Pose) -> BoardView:
     """The corners that a pose `T_CS_WS` puts into the image, as noisy as at calibration."""
-    points = calibrated.lens.project(pose.apply(calibrated.corners_mm))
-    size_px = np.array([camera.width_px, camera.height_px]) - 1.0 - _MARGIN_PX
-    inside = ((points > _MARGIN_PX) & (points < size_px)).all(axis=1)
-    index = np.nonzero(inside)[0]
+    size_px = camera.width_px, camera.height_px
+    index, points = visible_corners(calibrated.lens, pose, calibrated.corners_mm, size_px)
     noise = np.tile(calibrated.baseline.sub_rms_px**2 * np.eye(2), (len(index), 1, 1))
-    return BoardView(index, points[index], noise)
+    return BoardView(index, points, noise)
 
 
 def expected_sensitivities(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from daemon.retention.rules import Rules
@@ -29,27 +30,30 @@ def days_until_short(
     room = min(free_bytes - rules.min_free_bytes, rules.max_bytes - archive.bytes)
     if room <= 0:
         return 0.0
-    now = _planned(rules, archive.days, slots_a_day)
-    low, high = 0.0, float(FOR_EVER_DAYS)
-    if (_planned(rules, archive.days + high, slots_a_day) - now) * day_bytes < room:
+    if day_bytes <= 0.0:
         return None
-    while high - low > 0.01:  # the size grows with time, so that it is halved
-        middle = (low + high) / 2
-        grown = (_planned(rules, archive.days + middle, slots_a_day) - now) * day_bytes
-        low, high = (low, middle) if grown >= room else (middle, high)
-    return high
+    kept = sum(
+        share * (min(end, archive.days) - begin)
+        for begin, end, share in _terms(rules, slots_a_day)
+        if archive.days > begin
+    )
+    allowed = kept + room / day_bytes
+    for begin, end, share in _terms(rules, slots_a_day):
+        if allowed <= share * (end - begin):
+            days = begin + allowed / share - archive.days
+            return days if days <= FOR_EVER_DAYS else None
+        allowed -= share * (end - begin)
+    return None
 
 
-def _planned(rules: Rules, days: float, slots_a_day: float) -> float:
-    """Whole days of frames that are kept of so many days."""
-    total, before = 0.0, 0.0
-    shares = (
+def _terms(rules: Rules, slots_a_day: float) -> Iterator[tuple[float, float, float]]:
+    """From which age to which a day keeps which share of its frames: first to last."""
+    begin = 0.0
+    for level, share in (
         (Thinning.EVERY_SLOT, 1.0),
         (Thinning.HOURLY, min(1.0, 24.0 / slots_a_day)),
         (Thinning.DAILY, min(1.0, 1.0 / slots_a_day)),
-    )
-    for level, share in shares:
-        until = max(before, min(days, rules.limit_days(level)))
-        total += share * (until - before)
-        before = until
-    return total
+    ):
+        end = max(begin, rules.limit_days(level))
+        yield begin, end, share
+        begin = end
