@@ -23,6 +23,7 @@ CORE_MAY_IMPORT = {
     *("__future__", "collections", "contextlib", "dataclasses", "enum", "functools", "itertools"),
     *("math", "operator", "types", "typing"),
     *("core", "cv2", "importlib", "numba", "numpy", "scipy"),
+    *("hashlib", "pickle"),  # the cache of compiled loops checks what Numba keeps
 }
 """Numerics and the standard library's data types; nothing with a clock, a file or a state."""
 

@@ -15,13 +15,23 @@ from core.compiled import kept_on_disk
 
 ROOT = Path(__file__).parents[2]
 LOOP = """
+from callee import increment
 from core.compiled import kept_on_disk
 
 @kept_on_disk(nogil=True)
 def add_one(number):
-    return number + 1
+    return number + increment()
 
 print(add_one(1), sum(add_one.stats.cache_hits.values()))
+"""
+CALLEE = """
+from core.compiled import kept_on_disk
+
+INCREMENT = 1
+
+@kept_on_disk(nogil=True)
+def increment():
+    return INCREMENT
 """
 
 
@@ -31,6 +41,8 @@ class Program:
     def __init__(self, directory: Path) -> None:
         self._file, self.cache = directory / "loop.py", directory / "cache"
         self._file.write_text(LOOP)
+        self.callee = directory / "callee.py"
+        self.callee.write_text(CALLEE)
         self.limit = resource.RLIM_INFINITY
         """Bytes that a file may have; more is refused as on a full disk."""
 
@@ -65,7 +77,7 @@ def test_a_loop_is_compiled_once(program: Program) -> None:
 
 @pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
 @pytest.mark.parametrize("left", [0, 20])
-def test_files_that_a_power_cut_left_short_are_made_anew(
+def test_files_that_a_power_cut_left_short_are_made_again(
     program: Program, suffix: str, left: int
 ) -> None:
     """Numba does not sync them; each is there with its name, and empty or half."""
@@ -74,6 +86,35 @@ def test_files_that_a_power_cut_left_short_are_made_anew(
     assert files
     for file in files:
         os.truncate(file, left)
+    assert program.run() == [2, 0]
+    assert program.run() == [2, 1]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("INCREMENT = 1", "INCREMENT = 2"), ("return INCREMENT", "return 2")]
+)
+def test_a_new_version_of_what_a_loop_calls_is_run(program: Program, old: str, new: str) -> None:
+    """As after an upgrade: the loop's own file is the same, code of another is compiled into it."""
+    program.run()
+    program.callee.write_text(CALLEE.replace(old, new))
+    assert program.run() == [3, 0]
+    assert program.run() == [3, 1]
+
+
+def test_a_loop_with_other_options_is_another(program: Program) -> None:
+    program.run()
+    program.callee.write_text(CALLEE.replace("nogil=True", "nogil=True, boundscheck=True"))
+    assert program.run() == [2, 0]
+
+
+def test_machine_code_that_a_power_cut_has_damaged_is_not_run(program: Program) -> None:
+    """Some file systems leave a file of the right length with blocks of zeros in it."""
+    program.run()
+    (file,) = program.cache.rglob("loop.add_one*.nbc")
+    content = bytearray(file.read_bytes())
+    middle = len(content) // 2
+    content[middle : middle + 64] = bytes(64)
+    file.write_bytes(content)
     assert program.run() == [2, 0]
     assert program.run() == [2, 1]
 
