@@ -22,7 +22,6 @@ from daemon.store.migrate import SCHEMA_QUERY, known_revisions, schema_digests
 from daemon.store.records import Mark
 from daemon.store.revisions import require_known
 from daemon.store.salvage.sqlite_pages import PageFile, RawRow
-from daemon.store.salvage.sqlite_wal import lost_commits, read_log
 from daemon.store.schema import Base
 from daemon.store.sqlite import connect, connect_readonly, is_database_file, said_plainly
 
@@ -111,17 +110,34 @@ def _look(path: Path, depth: Depth) -> str | None:
     _roll_back(path)
     if not is_database_file(path):
         return "not a SQLite database" if path.stat().st_size else "empty"
-    if depth > Depth.NEWEST:
-        if lost := lost_commits(read_log(path.with_name(path.name + "-wal"))):
-            return f"{lost} commits lie behind a damaged part of the log"
-        if has_foreign_log(path):
-            return "the log beside it is that of another database"
+    if found := _damaged_log(path):
+        return found
+    if depth > Depth.NEWEST and has_foreign_log(path):
+        return "the log beside it is that of another database"
     try:
         with said_plainly(path), closing(connect_readonly(path)) as connection:
             connection.text_factory = any_text
             return next(_findings(connection, path, depth), None)
     except DatabaseDamagedError as error:
         return str(error.__cause__)
+
+
+def _damaged_log(path: Path) -> str | None:
+    """Say what SQLite would drop of the log without a word, and overwrite.
+
+    A header that a cut left half written stands alone, or before frames that the database has: the
+    log is begun over only once it has all of them, and the header is on the disk before the first
+    new frame.
+    """
+    with closing(PageFile(path)) as pages:
+        log = pages.log
+        if log.is_header_sound:
+            lost = log.lost_commits
+            return f"the log is damaged: SQLite would drop {lost} commits of it" if lost else None
+        if not log.has_content or (log.committed and pages.holds_newest_of_log()):
+            return None
+        lost = log.lost_commits
+        return f"the log's header is damaged: SQLite would drop it, with {lost} commits or more"
 
 
 def _roll_back(path: Path) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from daemon.store.salvage.sqlite_wal import PAGE_SIZES, Frame, committed, read_log
+from daemon.store.salvage.sqlite_wal import PAGE_SIZES, Log, read_log
 
 Value = int | float | str | bytes | None
 
@@ -41,11 +41,14 @@ class PageFile:
     def __init__(self, path: Path, *, with_log: bool = True) -> None:
         self._file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
         self.size_bytes = os.fstat(self._file).st_size
+        self.page_size = self._page_size()
         log = path.with_name(path.name + "-wal")
-        frames = committed(read_log(log)) if with_log else []
-        self._newest = {frame.page: frame.data for frame in frames if frame.whole}
+        self.log = read_log(log, self.page_size) if with_log else Log()
+        frames = self.log.committed
+        if frames:
+            self.page_size = len(frames[0].data)
+        self._newest = self.log.newest_pages
         self._older = [frame for frame in frames if frame.data is not self._newest.get(frame.page)]
-        self.page_size = self._page_size(frames)
         self.unreadable = 0
         """Pages that the disk would not give."""
 
@@ -57,6 +60,10 @@ class PageFile:
     def count(self) -> int:
         """Pages in file and log."""
         return max([self.size_bytes // self.page_size, *self._newest])
+
+    def holds_newest_of_log(self) -> bool:
+        """Whether the file has all that the log has committed: nothing is lost with the log."""
+        return all(self._from_file(number) == page for number, page in self._newest.items())
 
     def log_rows(self) -> Iterator[RawRow]:
         """The rows of the log's newest pages alone."""
@@ -95,9 +102,7 @@ class PageFile:
             self.unreadable += 1
             return b""
 
-    def _page_size(self, frames: list[Frame]) -> int:
-        if frames:
-            return len(frames[0].data)
+    def _page_size(self) -> int:
         try:
             size = int.from_bytes(os.pread(self._file, 2, 16), "big")
         except OSError:
