@@ -103,7 +103,7 @@ def run() -> int:
     for module, name, stand_in in (
         (machine, "read_boot_id", lambda: boot_id),
         (pipeline, "measure", MeasuredAnew(every).measure),
-        (pipeline, "in_sequence", Remembered().judge_in_history),
+        (pipeline, "judge_in_history", Remembered().judge_in_history),
         (world, "World", RenderedOnce),
     ):
         setattr(module, name, stand_in)

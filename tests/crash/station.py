@@ -106,7 +106,7 @@ def measured_by_eye() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pipeline, "measure", measure_by_eye)
         patch.setattr(pipeline, "active_calibration", calibration_by_number)
-        patch.setattr(pipeline, "in_sequence", lambda *arguments: arguments[-1])
+        patch.setattr(pipeline, "judge_in_history", lambda *arguments: arguments[-1])
         yield
 
 
