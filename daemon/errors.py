@@ -82,6 +82,10 @@ class DatabaseDamagedError(StoreError):
     """The file is not a SQLite database, or its pages contradict each other."""
 
 
+class DatabaseRemovedError(DatabaseDamagedError):
+    """The file was removed, renamed or replaced while it was open; what is open still has all."""
+
+
 class DatabaseForeignError(StoreError):
     """A sound SQLite database, but of another program."""
 

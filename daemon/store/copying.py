@@ -41,13 +41,25 @@ def backup(source: Path, target: Path, tell: Tell = lambda _done, _total: None) 
     emptied afterwards).
     Raises DatabaseDamagedError for a damaged original, DiskFullError, DatabaseUnwritableError.
     """
+    try:
+        original = connect_readonly(source)
+    except sqlite3.Error as error:
+        raise translate(source, error) from error
+    with closing(original):
+        return copy_out(original, source, target, tell)
+
+
+def copy_out(
+    original: sqlite3.Connection,
+    source: Path,
+    target: Path,
+    tell: Tell = lambda _done, _total: None,
+) -> Copied:
+    """As `backup`, from an open connection: its file may have lost its name, `source`."""
     temporary = temporary_name(target)
     try:
         temporary.write_bytes(b"")
-        with (
-            closing(connect_readonly(source)) as original,
-            closing(sqlite3.connect(temporary, isolation_level=None)) as copy,
-        ):
+        with closing(sqlite3.connect(temporary, isolation_level=None)) as copy:
             copy.execute("PRAGMA synchronous=OFF").close()  # synced here, and once complete
             _copy_pages(original, copy, temporary, tell)
             # Without a log of its own the copy can be read from a read-only medium.

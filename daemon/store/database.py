@@ -36,7 +36,7 @@ from daemon.store.convert import (
     measurement_record,
     measurement_row,
 )
-from daemon.store.copying import Copied, Tell, backup
+from daemon.store.copying import Copied, Tell, backup, copy_out
 from daemon.store.digest import CheckedSession
 from daemon.store.engine import make_engine, translated
 from daemon.store.migrate import migrate as run_migrations
@@ -53,7 +53,8 @@ from daemon.store.records import (
     MeasurementRecord,
 )
 from daemon.store.runs import next_second, run_between, schedule_slots
-from daemon.store.salvage.damage import Depth, find_damage
+from daemon.store.salvage.damage import Depth, find_damage, traces_of_a_lost_database
+from daemon.store.salvage.damage_note import COMPANIONS, SET_ASIDE
 from daemon.store.schema import ActivationRow, CalibrationRow, EventRow, MarkRow, MeasurementRow
 from daemon.store.sqlite import (
     connect,
@@ -90,6 +91,9 @@ def open_store(
     exists = database_exists(path)
     if not exists and not create:
         raise DatabaseMissingError(missing(path))
+    if not exists and not checked and (traces := traces_of_a_lost_database(path)):
+        msg = f"{path}: missing beside {traces}: {TO_SALVAGE}"
+        raise DatabaseDamagedError(msg)
     try:
         make_directory_durable(directory)
     except OSError as error:
@@ -148,6 +152,23 @@ class Store:
 
     def __enter__(self) -> Self:
         return self
+
+    def rescue(self, now_utc: datetime) -> Path:
+        """Write what the open file holds to the disk again, after it was removed or replaced.
+
+        Under its own name if that is free, else under the name of a database set aside. Raises
+        StoreError.
+        """
+        target = self.path
+        if target.exists():
+            target = target.with_name(f"{SET_ASIDE}{now_utc.astimezone(UTC):%Y%m%dT%H%M%SZ}")
+        with translated(self.path), self._engine.connect() as connection:
+            held = connection.connection.driver_connection
+            copy_out(cast("sqlite3.Connection", held), self.path, target)
+        if target == self.path:  # they belong to the removed file, whose commits the copy has
+            for suffix in COMPANIONS:
+                target.with_name(target.name + suffix).unlink(missing_ok=True)
+        return target
 
     def __exit__(
         self,

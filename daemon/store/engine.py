@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +11,7 @@ from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError, StatementError
 from sqlalchemy.pool import QueuePool
 
-from daemon.errors import StoreError
+from daemon.errors import DatabaseRemovedError, StoreError
 from daemon.store.sqlite import connect, connect_readonly, said_plainly, translate
 
 
@@ -21,15 +22,56 @@ def make_engine(path: Path, *, readonly: bool = False) -> Engine:
     transaction: SQLite cannot wait for the write lock once a read lock is held. Writers say
     IMMEDIATE.
     """
-    opener = connect_readonly if readonly else connect
-    engine = create_engine("sqlite://", creator=lambda: opener(path), poolclass=QueuePool)
+    place = _Place(path)
+
+    def open_connection() -> sqlite3.Connection:
+        if readonly:
+            return connect_readonly(path)
+        place.require_same_file()
+        connection = connect(path)
+        place.remember()
+        return connection
+
+    engine = create_engine("sqlite://", creator=open_connection, poolclass=QueuePool)
 
     def begin(connection: Connection) -> None:
         mode = connection.get_execution_options().get("dcam_begin", "DEFERRED")
+        if mode == "IMMEDIATE":
+            place.require_same_file()
         connection.exec_driver_sql(f"BEGIN {mode}")
 
     event.listen(engine, "begin", begin)
     return engine
+
+
+class _Place:
+    """The name of the file that is open: somebody may remove it, or put another in its place.
+
+    SQLite goes on writing into the removed file then, and says nothing.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file: tuple[int, int] | None = None
+        """Device and inode of what was opened first."""
+
+    def remember(self) -> None:
+        self._file = self._file or self._now()
+
+    def require_same_file(self) -> None:
+        """Raise DatabaseRemovedError if the name no longer leads to the open file."""
+        if self._file is None or (now := self._now()) == self._file:
+            return
+        what = "removed or renamed" if now is None else "replaced by another file"
+        msg = f"{self._path}: {what} while it was in use: dcamd writes what it held to the disk"
+        raise DatabaseRemovedError(msg)
+
+    def _now(self) -> tuple[int, int] | None:
+        try:
+            found = self._path.stat()
+        except OSError:
+            return None
+        return found.st_dev, found.st_ino
 
 
 @contextmanager

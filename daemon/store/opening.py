@@ -9,11 +9,15 @@ from pathlib import Path
 
 import structlog
 
-from daemon.errors import DatabaseUnwritableError
+from daemon.errors import DatabaseRemovedError, DatabaseUnwritableError, StoreError
 from daemon.store.database import Store, open_store
-from daemon.store.frames.archive import FOLDER
 from daemon.store.overview import FILE_NAME
-from daemon.store.salvage.damage import Depth, ended_in_order, find_damage
+from daemon.store.salvage.damage import (
+    Depth,
+    ended_in_order,
+    find_damage,
+    traces_of_a_lost_database,
+)
 from daemon.store.salvage.damage_note import Note, clear_note, note_damage, read_note
 from daemon.store.salvage.salvage import Tell, salvage
 from daemon.store.sqlite import undo_half_made
@@ -55,15 +59,29 @@ def damage_noted(store: Store) -> Iterator[None]:
     try:
         yield
     finally:
+        if isinstance(store.damage, DatabaseRemovedError):
+            _rescue(store)
         if store.damage is not None:
             with suppress(OSError):
                 note_damage(store.path.parent, str(store.damage))
 
 
+def _rescue(store: Store) -> None:
+    """Nothing acknowledged is lost as long as the removed file is still open."""
+    try:
+        target = store.rescue(datetime.now(UTC))
+    except StoreError as error:
+        _log.error("database_not_rescued", error=str(error))
+    else:
+        _log.error("database_rescued", why=str(store.damage), written_to=str(target))
+
+
 def _damage(path: Path, note: Note | None) -> str | None:
     """What is wrong with the database, if anything."""
-    if not path.exists() or _is_a_beginning(path):
-        return None
+    if not path.exists() or (path.is_file() and not path.stat().st_size):
+        # An empty file is what a cut leaves of a database's making, as long as there was nothing.
+        traces = traces_of_a_lost_database(path)
+        return f"{'empty' if path.exists() else 'missing'} beside {traces}" if traces else None
     depth = Depth.EVERYTHING if note else Depth.NEWEST if ended_in_order(path) else Depth.PAGES
     try:
         return find_damage(path, depth)
@@ -73,10 +91,3 @@ def _damage(path: Path, note: Note | None) -> str | None:
             return str(error)
         note_damage(path.parent, str(error))
         raise
-
-
-def _is_a_beginning(path: Path) -> bool:
-    """An empty file is what a cut leaves of a database's making, as long as there was nothing."""
-    log, frames = path.with_name(path.name + "-wal"), path.with_name(FOLDER)
-    is_empty = path.is_file() and not path.stat().st_size
-    return is_empty and not (log.exists() and log.stat().st_size) and not frames.exists()

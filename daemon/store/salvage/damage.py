@@ -18,12 +18,14 @@ import structlog
 
 from daemon.errors import DatabaseDamagedError, DatabaseForeignError, StoreError
 from daemon.store.checksum import DIGEST, named, row_digest
+from daemon.store.frames.archive import FOLDER
 from daemon.store.migrate import SCHEMA_QUERY, known_revisions, schema_digests
 from daemon.store.records import Mark
 from daemon.store.revisions import require_known
 from daemon.store.salvage.sqlite_pages import PageFile, RawRow
 from daemon.store.schema import Base
 from daemon.store.sqlite import connect, connect_readonly, is_database_file, said_plainly
+from drivers.frameset import TABLE
 
 _log = structlog.get_logger("dcam.daemon")
 
@@ -89,6 +91,18 @@ def _identities(rows: Iterable[RawRow]) -> set[object]:
             if row_digest("mark", mark) == mark[DIGEST]:
                 found.add(mark["value"])
     return found
+
+
+def traces_of_a_lost_database(path: Path) -> str:
+    """Say what lies beside a missing or empty database that only one with rows can have left."""
+    directory = path.parent
+    log = path.with_name(path.name + "-wal")
+    traces = {
+        "its log": log.exists() and log.stat().st_size > 0,
+        "its frames": any((directory / FOLDER).glob(f"*/*/*/{TABLE}")),
+        "its calibrations": any(directory.glob("calibrations/*/report.json")),
+    }
+    return " and ".join(name for name, is_there in traces.items() if is_there)
 
 
 def ended_in_order(path: Path) -> bool:

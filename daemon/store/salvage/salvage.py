@@ -92,6 +92,8 @@ def _set_aside(path: Path, aside: Path) -> None:
             source.unlink()
         else:
             source.rename(target)
+    if not aside.exists():  # it was missing: its log may still hold rows
+        aside.touch()
     fsync_directory(path.parent)
 
 

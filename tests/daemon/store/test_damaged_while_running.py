@@ -3,15 +3,21 @@
 import re
 import shutil
 import sqlite3
+import subprocess
+import sys
 from contextlib import closing
 from datetime import timedelta
 
 import pytest
 
+from daemon.errors import DatabaseDamagedError
+from daemon.store.database import open_store
 from daemon.store.records import GapCause
 from daemon.store.salvage.damage_note import databases_set_aside
-from tests.daemon.slots.test_dcamd import MARCH, REAL_TIME, Site, unaccounted
+from tests.daemon.slots.test_dcamd import MARCH, REAL_TIME, ROOT, Site, unaccounted
 from tests.daemon.store.examples import calibration
+
+CTL = [sys.executable, "-m", "daemon.ctl"]
 
 SMALL_DISK = """
 mount -t tmpfs -o size=200k tmpfs "$0" && cp "$1"/dcam.db "$0" || exit 77
@@ -102,6 +108,78 @@ def test_damage_met_while_it_runs_ends_dcamd_and_the_next_start_saves_the_rest(s
         assert unaccounted(store, period_s=1) == 0
         assert [record.content for record in store.calibrations()] == [{"method": "lost"}]
         assert len(databases_set_aside(site.state)) == 1
+
+
+@pytest.mark.parametrize("how", ["removed", "with its log", "renamed", "replaced"])
+def test_a_database_that_loses_its_name_while_it_is_open_loses_no_row(site: Site, how: str) -> None:
+    """SQLite goes on writing into the removed file; what was acknowledged there comes back."""
+    site.configure(REAL_TIME)
+    assert site.run("--max-slots", "1").returncode == 0
+    process = site.start()
+    site.told(r"^STATUS=slot .* done")
+    database = site.state / "dcam.db"
+    if how == "renamed":
+        database.rename(site.state / "moved-away.db")
+    else:
+        shutil.copy(database, site.state.parent / "other.db")
+        database.unlink()
+    if how == "with its log":
+        (site.state / "dcam.db-wal").unlink()
+        (site.state / "dcam.db-shm").unlink()
+    if how == "replaced":
+        shutil.copy(site.state.parent / "other.db", database)
+
+    assert process.wait(60) == 5
+
+    log = site.log.read_text()
+    (said,) = [line for line in log.splitlines() if line.startswith("dcamd: error: ")]
+    what = "replaced by another file" if how == "replaced" else "removed or renamed"
+    assert f"dcam.db: {what} while it was in use" in said
+    acknowledged = site.acknowledged(log)
+    result = site.run("--max-slots", "1")
+    assert result.returncode == 0, result.stderr
+    with site.store() as store:
+        assert store.measured_slots() >= acknowledged
+        assert unaccounted(store, period_s=1) == 0
+    # What was written into the file that was replaced is kept beside the one in its place.
+    assert len(databases_set_aside(site.state)) == (how == "replaced")
+
+
+@pytest.mark.parametrize("left", ["frames", "log"])
+def test_a_missing_database_is_damage_where_it_has_left_traces(site: Site, left: str) -> None:
+    assert site.run("--max-slots", "4").returncode == 0
+    if left == "log":
+        with site.store() as store:
+            store.add_event(MARCH, "happened", "known by the log alone")
+            shutil.copytree(site.state, site.state.parent / "killed")
+        shutil.rmtree(site.state)
+        (site.state.parent / "killed").rename(site.state)
+        shutil.rmtree(site.state / "frames")
+    (site.state / "dcam.db").unlink()
+
+    asked = [*CTL, "status", *site.command()[3:]]
+    status = subprocess.run(asked, cwd=ROOT, capture_output=True, check=False)
+    result = site.run("--max-slots", "1")
+
+    assert status.returncode >= 2
+    assert result.returncode == 0, result.stderr
+    assert f'why="missing beside its {left}"' in result.stderr
+    with site.store() as store:
+        assert len(store.events(kind="database_salvaged")) == 1
+        if left == "log":
+            assert [event.detail for event in store.events(kind="happened")]
+        else:
+            late = [row.slot_utc for row in store.measurements() if row.recorded_late]
+            assert late == [MARCH + timedelta(minutes=minute) for minute in range(4)]
+        assert unaccounted(store) == 0
+
+
+def test_a_command_makes_no_new_database_beside_the_traces_of_a_lost_one(site: Site) -> None:
+    assert site.run("--max-slots", "2").returncode == 0
+    (site.state / "dcam.db").unlink()
+    with pytest.raises(DatabaseDamagedError, match="missing beside its frames: restart dcamd"):
+        open_store(site.state)
+    assert not (site.state / "dcam.db").exists()
 
 
 def test_a_disk_without_room_for_the_saved_rows_is_told(site: Site) -> None:
