@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from pathlib import Path
 from typing import Any, get_args
 
@@ -10,6 +11,11 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 Location = tuple[int | str, ...]
+
+_UNQUOTED = "alarm"
+"""No value and no unknown key of it is ever quoted."""
+_CREDENTIALS = re.compile(r"://[^/@\s]*@")
+_LONGEST_QUOTE = 200
 
 _TOO_SMALL = {"greater_than", "greater_than_equal"}
 _TOO_LARGE = {"less_than", "less_than_equal"}
@@ -49,13 +55,21 @@ def describe_problems(error: ValidationError, model: type[BaseModel], path: Path
         if item["type"] == "extra_forbidden" and (name := _nearest_name(model, item["loc"]))
     }
     return [
-        f"{path}: {dotted(item['loc'])}: {_describe(item, model)}"
+        f"{path}: {dotted(_named(model, item))}: {_describe(item, model)}"
         for item in details
         # A misspelt required key would be reported twice: as unknown and as missing.
         if not (item["type"] == "missing" and item["loc"] in meant)
         # So would a wrong value in a list, which is then too short without it.
         and not (item["type"] == "too_short" and _has_wrong_value(item["loc"], details))
     ]
+
+
+def _named(model: type[BaseModel], item: ErrorDetails) -> Location:
+    """The location as a message may name it."""
+    location = item["loc"]
+    if item["type"] != "extra_forbidden" or location[:1] != (_UNQUOTED,):
+        return location
+    return location if _nearest_name(model, location) else (*location[:-1], "a key (not shown)")
 
 
 def _has_wrong_value(location: Location, details: list[ErrorDetails]) -> bool:
@@ -70,29 +84,38 @@ def dotted(location: Location) -> str:
 
 
 def _describe(item: ErrorDetails, model: type[BaseModel]) -> str:
-    kind, value, context = item["type"], item["input"], item.get("ctx", {})
+    kind, context = item["type"], item.get("ctx", {})
+    shown = _shown(item["loc"], item["input"])
     if kind == "extra_forbidden":
         return _describe_unknown(model, item["loc"])
     if kind == "missing":
         return _describe_missing(item["loc"])
     if kind == "literal_error":
-        return f"must be one of {context['expected']}, is {value!r}"
+        return f"must be one of {context['expected']}, is {shown}"
     if kind == "finite_number":
-        return f"must be a finite number, is {value}"
+        return f"must be a finite number, is {shown}"
     if kind in _TYPE_WORDS:
-        return f"must be {_TYPE_WORDS[kind]}, is {value!r}"
+        return f"must be {_TYPE_WORDS[kind]}, is {shown}"
     if kind in _BOUND_WORDS:
         name, words = _BOUND_WORDS[kind]
-        return f"must be {words} {context[name]}, is {value}{_unit_hint(item)}"
+        return f"must be {words} {context[name]}, is {shown}{_unit_hint(item)}"
     if kind in {"too_long", "too_short"}:
         limit = context.get("max_length", context.get("min_length"))
         most = "at most" if kind == "too_long" else "at least"
         return f"must have {most} {limit} values, has {context['actual_length']}"
     if kind.startswith(("datetime", "timezone", "time_zone")):
-        return f"must be a time in UTC such as 2026-03-01T00:00:00Z, is {value}"
+        return f"must be a time in UTC such as 2026-03-01T00:00:00Z, is {shown}"
     if kind == "string_too_short":
         return "must not be empty"
-    return f"{item['msg']}, is {value!r}"
+    return f"{item['msg']}, is {shown}"
+
+
+def _shown(location: Location, value: object) -> str:
+    """A value as a message may quote it: those of `[alarm]` hold passwords and tokens."""
+    if location[:1] == (_UNQUOTED,):
+        return "something else (not shown here: it may hold a password)"
+    text = _CREDENTIALS.sub("://...@", repr(value) if isinstance(value, str) else str(value))
+    return text if len(text) <= _LONGEST_QUOTE else f"{text[:_LONGEST_QUOTE]}..."
 
 
 def _describe_missing(location: Location) -> str:

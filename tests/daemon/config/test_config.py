@@ -350,3 +350,33 @@ def test_flag_before_environment_before_file_before_default(write, tmp_path: Pat
         find_installation(other, None, environ)
     with pytest.raises(ConfigError, match=r"/etc/dcam/dcam\.toml: no such file"):
         find_installation(None, None, {})
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        'urls = "ntfy://watch:hunter2@host"',
+        'command = "curl -H hunter2"',
+        'urls = [["ntfy://watch:hunter2@host"]]',
+        'level = "ntfy://watch:hunter2@host"',
+        'after_min = "hunter2"',
+        '"ntfy://watch:hunter2@host" = true',
+        'hunter2 = "ntfy://host"',
+        'url = ["ntfy://watch:hunter2@host"]',
+    ],
+)
+def test_no_message_quotes_what_is_in_the_alarm_section(write, lines: str) -> None:
+    """Whoever sends a log or asks for help sends no password along."""
+    path = write()
+    path.write_text(path.read_text() + f"\n[alarm]\n{lines}\n")
+    with pytest.raises(ConfigError) as error:
+        load_config(path)
+    assert "alarm" in str(error.value)
+    assert "hunter2" not in str(error.value)
+
+
+def test_a_url_with_a_password_in_another_place_is_quoted_without_it(write) -> None:
+    path = write(('name = "pier-3"', 'name = ["ntfy://watch:hunter2@host"]'))
+    with pytest.raises(ConfigError, match=r"site\.name: must be a text") as error:
+        load_config(path)
+    assert "hunter2" not in str(error.value)
