@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from typing import Any, TypeVar
 
 _T = TypeVar("_T")
@@ -53,6 +53,11 @@ class DeadlineThread:
         future: Future[_T] = Future()
         self._calls.put((function, future))
         return future
+
+    def wait(self, future: Future[Any], timeout_s: float) -> bool:
+        """Wait for the end of a submitted call, no longer than asked; whether it has ended."""
+        wait([future], timeout_s)
+        return future.done()
 
     def end(self, wait_s: float = 0.0) -> None:
         """Let the thread release what it holds and end; wait for that no longer than told."""

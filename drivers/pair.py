@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, wait
+from concurrent.futures import Future
 from contextlib import suppress
 from datetime import datetime
 from typing import TypeVar
@@ -60,12 +60,17 @@ class SynchronizedPair:
         grace_s: float = GRACE_S,
         main_triggers_sub: bool = False,
         sizes_px: tuple[tuple[int, int], tuple[int, int]] | None = None,
+        make_thread: Callable[[str, Callable[[], None]], DeadlineThread] = DeadlineThread,
     ) -> None:
-        """Take two cameras, not opened yet. sizes_px: width and height of main and sub frames."""
+        """Take two cameras, not opened yet.
+
+        sizes_px: width and height of main and sub frames. make_thread: of a name and what to do at
+        its end; in a test with other deadlines than those of the clock.
+        """
         main_px, sub_px = sizes_px or (None, None)
         self._lanes = (
-            _Lane(main, "main", clock, main_px),
-            _Lane(sub, "sub", clock, sub_px, waits_for_line=main_triggers_sub),
+            _Lane(main, "main", clock, main_px, make_thread),
+            _Lane(sub, "sub", clock, sub_px, make_thread, waits_for_line=main_triggers_sub),
         )
         self._main_triggers_sub = main_triggers_sub
         self._timeout_s = timeout_s
@@ -151,11 +156,13 @@ class _Lane:
         role: Role,
         clock: Clock,
         size_px: tuple[int, int] | None,
+        make_thread: Callable[[str, Callable[[], None]], DeadlineThread],
         *,
         waits_for_line: bool = False,
     ) -> None:
         self._camera = camera
         self._size_px = size_px
+        self._make_thread = make_thread
         self._waits_for_line = waits_for_line
         self._role: Role = role
         self._clock = clock
@@ -233,13 +240,13 @@ class _Lane:
             msg = f"{self._trouble}; next attempt in {left_s:.0f} s"
             raise DeviceLostError(self._named(msg), self._role)
         if self._thread is None:
-            self._thread = DeadlineThread(f"{self._role}-camera", self.release)
+            self._thread = self._make_thread(f"{self._role}-camera", self.release)
         return self._thread.submit(lambda: step(self))
 
     def finish(self, future: Future[_T], what: str, timeout_s: float, deadline_s: float) -> _T:
         """Give what the step gave, by the deadline (monotonic); note what a failure means."""
-        wait([future], max(deadline_s - time.monotonic(), 0.0))
-        if not future.done():
+        left_s = max(deadline_s - time.monotonic(), 0.0)
+        if self._thread is None or not self._thread.wait(future, left_s):
             future.cancel()  # behind a call that hangs it is not to be made any more
             self._abandon()
             self._give_up(f"{what} did not end within {timeout_s:g} s")

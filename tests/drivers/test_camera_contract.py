@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import itertools
 import threading
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from pathlib import Path
 
@@ -24,8 +23,7 @@ from drivers.sim.cameras import SimulatedCamera
 from drivers.sim.settings import Scenario, SimSettings
 from drivers.sim.world import World
 from tests.drivers.genicam.gige.bench import (
-    HEIGHT_PX,
-    WIDTH_PX,
+    SETTINGS,
     gige_network,
     image_index,
     running,
@@ -52,9 +50,9 @@ class Bench:
     take_away: Callable[[], None]
     give_back: Callable[[], None]
 
-    def shoot(self, n: int, timeout_s: float = 5.0) -> CapturedFrame:
+    def shoot(self, n: int) -> CapturedFrame:
         """Take the n-th frame, and turn to the next scene."""
-        frame = shoot(self.camera, timeout_s)
+        frame = shoot(self.camera)
         self.next_scene(n)
         return frame
 
@@ -71,7 +69,7 @@ def harvesters(tmp_path: Path) -> Iterator[Bench]:
 
 def genicam(name: KindName, directory: Path) -> Iterator[Bench]:
     images = write_noise(directory, 5, seed=1)
-    settings = CameraSettings(WIDTH_PX, HEIGHT_PX, exposure_us=2000.0, gain_db=3.0)
+    settings = replace(SETTINGS, exposure_us=2000.0, gain_db=3.0)
     with gige_network():
         kind = kind_of(name)
         camera = kind.make(SERIAL, settings, "main")
@@ -170,13 +168,11 @@ def test_a_frame_nobody_fetched_is_not_taken_for_the_next(bench: Bench) -> None:
     assert bench.image_shown(bench.shoot(3).pixels) == 2
 
 
-def test_without_a_trigger_there_is_no_frame_and_the_wait_is_bounded(bench: Bench) -> None:
+def test_without_a_trigger_there_is_no_frame_and_the_wait_ends(bench: Bench) -> None:
     bench.camera.open()
     bench.camera.arm()
-    start_s = time.monotonic()
     with pytest.raises(FrameTimeoutError, match=bench.camera.serial):
         bench.camera.fetch(0.2)
-    assert time.monotonic() - start_s < 2.0
     assert bench.image_shown(bench.shoot(1).pixels) == 0
 
 
@@ -203,16 +199,13 @@ def test_a_camera_can_be_closed_twice_and_opened_again(bench: Bench) -> None:
     assert bench.image_shown(bench.shoot(2).pixels) == 1
 
 
-def test_a_camera_that_went_away_is_lost_in_time_and_opened_again_when_back(bench: Bench) -> None:
+def test_a_camera_that_went_away_is_lost_and_opened_again_when_back(bench: Bench) -> None:
     bench.camera.open()
     bench.shoot(1)
     bench.take_away()
-    start_s = time.monotonic()
     with pytest.raises(DeviceLostError, match=bench.camera.serial) as lost:
         shoot(bench.camera, timeout_s=1.0)
     assert lost.value.role == "main"
-    # arm, trigger and fetch each keep their own deadline
-    assert time.monotonic() - start_s < 2 * bench.settings.command_timeout_s + 3.0
     with pytest.raises(DeviceLostError, match=bench.camera.serial):
         bench.camera.open()
     bench.give_back()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -19,7 +18,9 @@ from drivers.protocols import CapturedFrame
 from drivers.sim.cameras import SimulatedCamera
 from drivers.sim.settings import Scenario, SimSettings
 from drivers.sim.world import World
+from tests.drivers.hang import Hang, ImpatientThread
 from tests.drivers.sim.rigs import site
+from tests.waiting import PATIENCE_S
 
 SLOT = datetime(2026, 3, 1, tzinfo=UTC)
 PIXELS = np.zeros((4, 6), np.uint8)
@@ -34,6 +35,7 @@ class FakeCamera:
         self.calls: list[str] = []
         self.exposures: list[tuple[float, float | None]] = []
         self.threads: set[int] = set()
+        self.hang = Hang()
         self.on: dict[str, Callable[[], None]] = {}
         self.give: object = ...
         """What fetch gives; ...: a new frame."""
@@ -83,23 +85,36 @@ class Rig:
             self.main,
             self.sub,
             self.clock,
-            timeout_s=0.05,
-            open_timeout_s=0.2,
-            grace_s=0.05,
             sizes_px=((6, 4), (6, 4)),
+            make_thread=self._make_thread,
         )
+        self._threads: list[ImpatientThread] = []
 
-    def fail(self) -> tuple[DeviceError, float]:
-        began_s = time.monotonic()
+    def _make_thread(self, name: str, at_end: Callable[[], None]) -> ImpatientThread:
+        hang = (self.sub if name.startswith("sub") else self.main).hang
+        self._threads.append(ImpatientThread(name, at_end, hang))
+        return self._threads[-1]
+
+    def fail(self) -> DeviceError:
+        """Capture, which must fail."""
         with pytest.raises(DeviceError) as caught:
             self.pair.capture(SLOT)
-        return caught.value, time.monotonic() - began_s
+        return caught.value
+
+    def let_go(self) -> None:
+        """Let what hangs return, and the threads that were left behind in it end."""
+        self.main.hang.release()
+        self.sub.hang.release()
+        for thread in self._threads:
+            if thread.ended:
+                thread.wait_for_end()
 
 
 @pytest.fixture
 def rig():
     rig = Rig()
     yield rig
+    rig.let_go()
     rig.pair.close()
 
 
@@ -138,7 +153,7 @@ def test_an_exposure_is_told_once_before_arming_and_again_to_a_camera_opened_ane
 def test_triggers_meet(rig: Rig) -> None:
     """No camera is triggered before the other one is ready to be."""
     met = threading.Barrier(2)
-    rig.main.on["trigger"] = rig.sub.on["trigger"] = lambda: met.wait(5.0) and None
+    rig.main.on["trigger"] = rig.sub.on["trigger"] = lambda: met.wait(PATIENCE_S) and None
     rig.pair.capture(SLOT)
     assert not met.broken
 
@@ -146,7 +161,7 @@ def test_triggers_meet(rig: Rig) -> None:
 def test_nothing_is_exposed_unless_both_are_ready(rig: Rig) -> None:
     """With one camera missing the other is armed and not triggered."""
     rig.sub.on["open"] = _raise(DeviceLostError("camera S1: not found"))
-    error, _ = rig.fail()
+    error = rig.fail()
     assert (error.role, str(error)) == ("sub", "camera S1: not found")
     assert rig.main.calls == ["open", "arm"]
 
@@ -155,11 +170,11 @@ def test_a_lost_camera_is_left_alone_and_then_opened_anew(rig: Rig) -> None:
     """After a loss the camera is closed, not touched during the pause, then opened and used."""
     rig.pair.capture(SLOT)
     rig.main.on["trigger"] = _raise(DeviceLostError("camera M1: control lost"))
-    error, _ = rig.fail()
+    error = rig.fail()
     assert isinstance(error, DeviceLostError)
     assert error.role == "main"
     rig.main.on.clear()
-    error, _ = rig.fail()
+    error = rig.fail()
     assert str(error) == "camera M1: control lost; next attempt in 1 s"
     assert error.role == "main"
     rig.clock.advance(1.0)
@@ -191,14 +206,14 @@ def test_after_recovery_the_pause_is_short_again(rig: Rig) -> None:
     rig.pair.capture(SLOT)
     rig.main.on["trigger"] = _raise(DeviceLostError("M1 gone"))
     rig.fail()
-    assert "next attempt in 1 s" in str(rig.fail()[0])
+    assert "next attempt in 1 s" in str(rig.fail())
 
 
 @pytest.mark.parametrize("error", [FrameTimeoutError("S1: no frame"), IncompleteFrameError("S1")])
 def test_a_missed_frame_is_no_loss(rig: Rig, error: DeviceError) -> None:
     """A time-out or an incomplete frame fails one slot; only several in a row reopen the camera."""
     rig.sub.on["fetch"] = _raise(error)
-    caught, _ = rig.fail()
+    caught = rig.fail()
     assert type(caught) is type(error)
     assert caught.role == "sub"
     rig.sub.on.clear()
@@ -217,7 +232,7 @@ def test_two_dead_cameras_are_both_named(rig: Rig) -> None:
     """When both fail the error names both, and no single role."""
     rig.main.on["open"] = _raise(DeviceLostError("M1 gone"))
     rig.sub.on["open"] = _raise(DeviceLostError("S1 gone"))
-    error, _ = rig.fail()
+    error = rig.fail()
     assert (str(error), error.role) == ("M1 gone; S1 gone", None)
     assert isinstance(error, DeviceLostError)
 
@@ -225,57 +240,55 @@ def test_two_dead_cameras_are_both_named(rig: Rig) -> None:
 def test_what_both_cameras_say_alike_is_said_once(rig: Rig) -> None:
     for camera in (rig.main, rig.sub):
         camera.on["open"] = _raise(DeviceLostError("M1 and S1: no library"))
-    error, _ = rig.fail()
+    error = rig.fail()
     assert str(error) == "M1 and S1: no library"
 
 
 @pytest.mark.parametrize("call", ["open", "arm", "trigger", "fetch"])
 def test_a_hung_call_costs_no_more_than_its_deadline(rig: Rig, call: str) -> None:
     """A call that never returns is left behind; later slots fail at once; then it recovers."""
-    release, closed = threading.Event(), threading.Event()
-    rig.main.on[call] = lambda: release.wait(30.0) and None
-    rig.main.on["close"] = closed.set
+    rig.main.on[call] = rig.main.hang.block
     before = threading.active_count()
-    error, took_s = rig.fail()
+    error = rig.fail()
     assert isinstance(error, DeviceLostError)
     assert error.role == "main"
     assert "main camera M1" in str(error)
     assert "did not end within" in str(error)
-    assert took_s < 2.0
     for _ in range(20):
         rig.clock.advance(60.0)
-        error, took_s = rig.fail()
+        error = rig.fail()
         assert "still has not; restart" in str(error)
     assert threading.active_count() <= before + 2
     assert rig.main.calls.count(call) == 1
-    release.set()
-    assert closed.wait(5.0)
+    rig.let_go()
     rig.main.on.clear()
-    _wait_for(lambda: threading.active_count() <= before + 1)
+    assert rig.main.calls[-1] == "close"
+    assert threading.active_count() <= before + 1
     rig.clock.advance(60.0)
     rig.pair.capture(SLOT)
     assert rig.main.calls[-4:] == ["open", "arm", "trigger", "fetch"]
 
 
-def _wait_for(true: Callable[[], bool]) -> None:
-    """Wait for something that has no event to wait for, e.g. the end of a thread."""
-    deadline_s = time.monotonic() + 5.0
-    while not true():
-        assert time.monotonic() < deadline_s
-        threading.Event().wait(0.002)
+def test_a_deadline_passes_by_the_clock() -> None:
+    """In the other tests it does as soon as a call hangs; here the call would hang for ever."""
+    main, sub = FakeCamera("M1"), FakeCamera("S1")
+    main.on["open"] = main.hang.block
+    pair = SynchronizedPair(main, sub, SteppedClock(SLOT), open_timeout_s=0.05)
+    with pytest.raises(
+        DeviceLostError, match=r"main camera M1: opening did not end within 0\.05 s"
+    ):
+        pair.prepare()
+    main.hang.release()
+    pair.close()
 
 
-def test_close_does_not_wait_for_a_hung_camera(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_close_does_not_wait_for_a_hung_camera(rig: Rig) -> None:
     """Closing the pair while a camera hangs ends; closing twice is allowed."""
-    monkeypatch.setattr("drivers.pair.CLOSE_TIMEOUT_S", 0.05)
-    release = threading.Event()
-    rig.sub.on["fetch"] = lambda: release.wait(30.0) and None
+    rig.sub.on["fetch"] = rig.sub.hang.block
     rig.fail()
-    began_s = time.monotonic()
     rig.pair.close()
     rig.pair.close()
-    assert time.monotonic() - began_s < 2.0
-    release.set()
+    assert rig.sub.hang.on
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError("a bug"), SystemExit("over")])
@@ -284,7 +297,7 @@ def test_a_driver_that_breaks_is_named_and_opened_anew(rig: Rig, error: Exceptio
     fetched = threading.Event()
     rig.main.on["trigger"] = _raise(error)
     rig.sub.on["fetch"] = fetched.set
-    caught, _ = rig.fail()
+    caught = rig.fail()
     name = type(error).__name__
     assert str(caught) == f"main camera M1: its driver broke ({name}: {error})"
     assert caught.role == "main"
@@ -309,37 +322,28 @@ def test_a_close_that_fails_is_nobodys_trouble(rig: Rig) -> None:
 
 def test_what_waits_behind_a_hung_call_is_not_made_any_more(rig: Rig) -> None:
     """A camera that hangs in its release is not opened by the slot that had given it up."""
-    release, closed = threading.Event(), threading.Event()
     rig.main.on["arm"] = _raise(DeviceLostError("M1 gone"))
-    rig.main.on["close"] = lambda: release.wait(30.0) and closed.set()
+    rig.main.on["close"] = rig.main.hang.block
     rig.fail()
     del rig.main.on["arm"]
     rig.clock.advance(60.0)
-    error, _ = rig.fail()
+    error = rig.fail()
     assert "did not end within" in str(error)
     calls = rig.main.calls.copy()
     rig.main.on.clear()
-    release.set()
-    assert closed.wait(5.0)
-    _wait_for(lambda: rig.main.calls != calls)
-    assert rig.main.calls == [*calls, "close"]  # its thread ends
-    _wait_for(lambda: not rig.pair._lanes[0]._left_behind.alive)
+    rig.let_go()
+    assert rig.main.calls == [*calls, "close"]  # its thread has ended
     rig.clock.advance(60.0)
     rig.pair.capture(SLOT)
 
 
-def test_a_camera_that_hangs_when_told_to_close_says_so(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("drivers.pair.CLOSE_TIMEOUT_S", 0.05)
-    release = threading.Event()
+def test_a_camera_that_hangs_when_told_to_close_says_so(rig: Rig) -> None:
     rig.pair.capture(SLOT)
-    rig.sub.on["close"] = lambda: release.wait(30.0) and None
+    rig.sub.on["close"] = rig.sub.hang.block
     rig.pair.close()
-    error, _ = rig.fail()
-    assert str(error).startswith("sub camera S1: closing did not end within 0.05 s, and still")
-    release.set()
-    _wait_for(lambda: not rig.pair._lanes[1]._left_behind.alive)
+    error = rig.fail()
+    assert str(error).startswith("sub camera S1: closing did not end within 5 s, and still")
+    rig.let_go()
     rig.pair.capture(SLOT)
 
 
@@ -363,7 +367,7 @@ def test_what_is_no_whole_new_frame_is_refused(rig: Rig, found: object, told: st
     rig.sub.give = FRAME
     rig.pair.capture(SLOT)
     rig.sub.give = found
-    error, _ = rig.fail()
+    error = rig.fail()
     assert isinstance(error, IncompleteFrameError)
     assert str(error).startswith(f"sub camera S1: {told}")
     assert error.role == "sub"
@@ -384,7 +388,7 @@ def test_a_camera_without_a_clock_counts_from_one_after_each_opening(rig: Rig) -
         if again:
             rig.pair.capture(SLOT)
         else:
-            assert "a second time" in str(rig.fail()[0])
+            assert "a second time" in str(rig.fail())
 
 
 def test_simulated_pair_loses_a_camera_and_gets_it_back() -> None:

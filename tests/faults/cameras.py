@@ -18,12 +18,11 @@ from drivers.errors import (
     SettingRefusedError,
 )
 from drivers.protocols import CapturedFrame, Clock
+from tests.drivers.hang import Hang
 
 SIZE = (48, 64)
 """Height and width."""
 CALLS = ("open", "arm", "trigger", "fetch")
-ENDED_S = 60.0
-"""Nothing here takes as long, unless it never ends."""
 
 LOST, FAILED = GapCause.CAMERA_LOST, GapCause.CAPTURE_FAILED
 
@@ -77,11 +76,8 @@ class FaultyCamera:
         self.serial = serial
         self.fault: Fault | None = None
         self.misused: list[str] = []
-        self.hangs = 0
+        self.hang = Hang()
         self._clock = clock
-        self._changed = threading.Condition()
-        self._hanging = False
-        self._let_go = threading.Event()
         self._busy = threading.Lock()
         self._handle: int | None = None
         self._frames = 0
@@ -127,30 +123,18 @@ class FaultyCamera:
                 os.close(handle)
             fault = self.fault
             if fault is not None and fault.on_close == "hang":
-                self._hang()
+                self.hang.block()
             if fault is not None and fault.on_close == "raise":
                 raise OSError(5, "Input/output error")
 
     # ------------------------------------------------------------ the test's side
 
-    def wait_for(self, ended: Callable[[], bool]) -> None:
-        """Wait until something has ended, or never will because the camera hangs."""
-        with self._changed:
-            assert self._changed.wait_for(lambda: ended() or self._hanging, ENDED_S)
-
-    def notify(self, _: object = None) -> None:
-        """Say that something may have ended."""
-        with self._changed:
-            self._changed.notify_all()
-
     def release(self) -> None:
         """End the fault: a call that hangs returns."""
         self.fault = None
-        with self._changed:
-            self._hanging = False
-        self._let_go.set()
+        self.hang.release()
 
-    def start_anew(self) -> None:
+    def restart(self) -> None:
         """Be the camera of another process, which knows of no frame."""
         self._last = None
 
@@ -179,14 +163,6 @@ class FaultyCamera:
         if fault is None or CALLS.index(call) < CALLS.index(fault.at):
             return
         if fault.kind == "hang":
-            self._hang()
+            self.hang.block()
         elif fault.kind in ERRORS:
             raise ERRORS[fault.kind][0]
-
-    def _hang(self) -> None:
-        self._let_go.clear()
-        self.hangs += 1
-        with self._changed:
-            self._hanging = True
-            self._changed.notify_all()
-        assert self._let_go.wait(10.0 * ENDED_S)

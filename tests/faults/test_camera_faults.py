@@ -18,7 +18,7 @@ from daemon.slots.runner import SlotRunner
 from daemon.slots.supervision import ProcessSpentError
 from tests.daemon.conftest import Station
 from tests.faults.cameras import ERRORS, GARBAGE
-from tests.faults.script import FaultySource, deadlines_without_waiting
+from tests.faults.faulty_source import FaultySource
 
 FAULTS = 1000
 SEED = 1
@@ -42,11 +42,8 @@ def station():
 
 
 @pytest.fixture
-def source(station: Station, monkeypatch: pytest.MonkeyPatch):
-    with (
-        deadlines_without_waiting(monkeypatch),
-        closing(FaultySource(station.clock, SEED, FAULTS)) as source,
-    ):
+def source(station: Station):
+    with closing(FaultySource(station.clock, SEED, FAULTS)) as source:
         yield source
 
 
@@ -75,7 +72,7 @@ def test_a_thousand_faults(station: Station, source: FaultySource) -> None:
         try:
             runner.run(1)
         except ProcessSpentError:  # so many slots lost to a camera that hangs
-            source.start_anew()
+            source.restart()
             runner = daemon(station, source)
     runner.run(1)
 
@@ -96,7 +93,7 @@ def test_a_thousand_faults(station: Station, source: FaultySource) -> None:
     # What was meant to happen did: every kind, at both cameras, and enough of all.
     every = {*ERRORS, *GARBAGE, "hang", "hang for ever", "stale", "hang on close"}
     assert all(every <= trouble.kinds for trouble in source.troubles)
-    assert sum(camera.hangs for camera in source.cameras) > 100
+    assert sum(camera.hang.count for camera in source.cameras) > 100
     assert len(rows) > FAULTS / 10
     assert max(rows) == max(source.expected)
     # A thread for each camera, and one more for each that hangs; none is left.

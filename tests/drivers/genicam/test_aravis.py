@@ -23,6 +23,7 @@ from drivers.genicam.aravis_device import AravisFeatures
 from drivers.protocols import CameraSettings
 from tests.drivers.genicam.gige.bench import (
     HEIGHT_PX,
+    SETTINGS,
     WIDTH_PX,
     gige_network,
     image_index,
@@ -34,7 +35,6 @@ from tests.drivers.genicam.gige.loopback import ADDRESSES
 from tests.drivers.genicam.gige.process import REPOSITORY, CameraProcess
 
 MAIN, SUB = "15290000", "15290001"
-SETTINGS = CameraSettings(WIDTH_PX, HEIGHT_PX)
 
 
 @pytest.fixture(scope="module")
@@ -64,8 +64,7 @@ def camera(process: CameraProcess) -> Iterator[AravisCamera]:
 
 
 def opened(serial: str, **settings: Any) -> AravisCamera:
-    values = {"width_px": WIDTH_PX, "height_px": HEIGHT_PX, **settings}
-    camera = AravisCamera(serial, CameraSettings(**values))
+    camera = AravisCamera(serial, dataclasses.replace(SETTINGS, **settings))
     camera.open()
     return camera
 

@@ -14,11 +14,18 @@ from numpy.typing import NDArray
 
 from drivers.errors import MissingLibraryError
 from drivers.genicam.aravis_device import load_aravis
-from drivers.protocols import Camera, CapturedFrame
+from drivers.protocols import Camera, CameraSettings, CapturedFrame
 from tests.drivers.genicam.gige.loopback import NoLoopbackError, private_loopback
 from tests.drivers.genicam.gige.process import CameraProcess
+from tests.waiting import PATIENCE_S
 
 WIDTH_PX, HEIGHT_PX = 96, 64
+SETTINGS = CameraSettings(
+    WIDTH_PX, HEIGHT_PX, open_timeout_s=PATIENCE_S, command_timeout_s=PATIENCE_S
+)
+"""For cameras that answer: however busy the machine, no deadline passes."""
+FRAME_TIMEOUT_S = 30.0
+"""To wait for a frame that comes."""
 
 
 @contextmanager
@@ -57,7 +64,7 @@ def read_pixels(path: Path) -> NDArray[Any]:
     return np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
 
 
-def shoot(camera: Camera, timeout_s: float = 5.0) -> CapturedFrame:
+def shoot(camera: Camera, timeout_s: float = FRAME_TIMEOUT_S) -> CapturedFrame:
     camera.arm()
     camera.trigger()
     return camera.fetch(timeout_s)

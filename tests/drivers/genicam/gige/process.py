@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
+from tests.waiting import PATIENCE_S
+
 REPOSITORY = Path(__file__).resolve().parents[4]
-ANSWER_S = 30.0
-"""A busy machine may take long to start Python; nothing here waits this long when all is well."""
 
 
 class CameraProcess:
@@ -56,12 +56,12 @@ class CameraProcess:
     def register(self, address: int) -> int:
         """What stands at an address of the camera: its state, as no driver can colour it."""
         self.send(f"show {address:x}")
-        return int(self._lines.get(timeout=ANSWER_S).removeprefix("register "))
+        return int(self._lines.get(timeout=PATIENCE_S).removeprefix("register "))
 
     def wait_for_sent(self, n: int) -> None:
         """Wait until so many frames have been sent, over all restarts."""
         with self._sent:
-            assert self._sent.wait_for(lambda: len(self.frames) >= n, ANSWER_S)
+            assert self._sent.wait_for(lambda: len(self.frames) >= n, PATIENCE_S)
 
     def wire(self, line: int, other: CameraProcess, other_line: int) -> None:
         """Lay a wire from an output line to a line of another camera."""
@@ -114,5 +114,5 @@ class CameraProcess:
                 self._lines.put(line.strip())
 
     def _expect(self, line: str) -> None:
-        answer = self._lines.get(timeout=ANSWER_S)
+        answer = self._lines.get(timeout=PATIENCE_S)
         assert answer == line, f"camera {self.serial} says {answer!r} instead of {line!r}"

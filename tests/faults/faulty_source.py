@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import random
-import threading
 from collections.abc import Callable
-from contextlib import contextmanager
 from datetime import datetime
 
-import pytest
-
 from daemon.store.records import GapCause
-from drivers import pair
 from drivers.clock import SteppedClock
-from drivers.deadline import DeadlineThread
 from drivers.pair import SynchronizedPair
 from drivers.protocols import CapturedPair
-from tests.faults.cameras import CALLS, ENDED_S, ERRORS, GARBAGE, SIZE, Fault, FaultyCamera
+from tests.drivers.hang import ImpatientThread
+from tests.faults.cameras import CALLS, ERRORS, GARBAGE, SIZE, Fault, FaultyCamera
 
 FOR_EVER = 40
 """Slots that a call hangs which nobody expects to return any more."""
@@ -29,18 +24,20 @@ class Trouble:
         self.camera = camera
         self.begun = 0
         self.kinds: set[str] = set()
+        self.threads: list[ImpatientThread] = []
+        """The camera's, the last one in use unless it was given up."""
         self._random = random.Random(seed)
         self._left = 0
         """Slots until what is now comes to an end."""
 
-    def next_slot(self, lane: pair._Lane, *, more: bool) -> None:
+    def next_slot(self, *, more: bool) -> None:
         """Go on to the next slot: what is now may end, and something else begin."""
         self._left -= 1
         if self._left > 0:
             return
         ended = self.camera.fault is not None
         self.camera.release()
-        _wait_for_the_one_left_behind(lane)
+        self.bury()
         if more and self._random.random() < (0.4 if ended else 0.75):
             self.camera.fault = self._fault()
             self.begun += 1
@@ -48,6 +45,23 @@ class Trouble:
             self.kinds.add(f"{self.camera.fault.on_close} on close")
         else:
             self._left = self._random.randint(1, 2)
+
+    def make_thread(self, name: str, at_end: Callable[[], None]) -> ImpatientThread:
+        """A thread for the camera."""
+        self.threads.append(ImpatientThread(name, at_end, self.camera.hang))
+        return self.threads[-1]
+
+    def settle(self) -> None:
+        """Let the thread in use come to the end of its calls, or hang in one."""
+        if self.threads and not self.threads[-1].ended:
+            self.threads[-1].settle()
+
+    def bury(self) -> None:
+        """Wait for the threads that were given up: their calls return, they close the camera."""
+        for thread in self.threads:
+            if thread.ended:
+                thread.wait_for_end()
+        self.threads = [thread for thread in self.threads if thread.alive]
 
     def _fault(self) -> Fault:
         draw = self._random
@@ -95,70 +109,37 @@ class FaultySource:
         try:
             return self.pair.capture(slot_utc)
         finally:
-            for lane in self.pair._lanes:
-                _settle(lane)
+            for trouble in self.troubles:
+                trouble.settle()
 
     def _begin(self, slot_utc: datetime) -> None:
         self.on_slot(len(self.expected))
-        for trouble, lane in zip(self.troubles, self.pair._lanes, strict=True):
-            trouble.next_slot(lane, more=self.begun < self._faults)
+        for trouble in self.troubles:
+            trouble.next_slot(more=self.begun < self._faults)
         if self._random.random() < 0.02:  # somebody else has had the cameras meanwhile
             self.pair.close()
         faults = [camera.fault for camera in self.cameras if camera.fault is not None]
         self.expected[slot_utc] = set().union(*(fault.causes for fault in faults))
         self.shown[slot_utc] = tuple(camera.fault for camera in self.cameras)
 
-    def start_anew(self) -> None:
+    def restart(self) -> None:
         """The process has ended, and with it whatever hung in it: another one begins."""
         self.close()
-        for lane in self.pair._lanes:
-            _wait_for_the_one_left_behind(lane)
-            lane._camera.start_anew()
+        for trouble in self.troubles:
+            trouble.bury()
+            trouble.camera.restart()
         self.pair = self._pair()
 
     def _pair(self) -> SynchronizedPair:
         size = SIZE[::-1]
-        return SynchronizedPair(*self.cameras, self._clock, sizes_px=(size, size))
+        return SynchronizedPair(
+            *self.cameras, self._clock, sizes_px=(size, size), make_thread=self._make_thread
+        )
+
+    def _make_thread(self, name: str, at_end: Callable[[], None]) -> ImpatientThread:
+        return self.troubles[name.startswith("sub")].make_thread(name, at_end)
 
     def close(self) -> None:
         for trouble in self.troubles:
             trouble.camera.release()
         self.pair.close()
-
-
-@contextmanager
-def deadlines_without_waiting(monkeypatch: pytest.MonkeyPatch):
-    """A deadline is over as soon as the camera hangs, and not before: no luck, and no waiting."""
-    finish, end = pair._Lane.finish, DeadlineThread.end
-
-    def finish_at_once(lane, future, what, timeout_s, _deadline_s):
-        future.add_done_callback(lane._camera.notify)
-        lane._camera.wait_for(future.done)
-        return finish(lane, future, what, timeout_s, 0.0)
-
-    def end_at_once(thread, wait_s=0.0):
-        end(thread)
-        camera = thread._at_end.__self__._camera
-        while wait_s and thread.alive and not camera._hanging:
-            thread._thread.join(0.001)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(pair._Lane, "finish", finish_at_once)
-        patched.setattr(DeadlineThread, "end", end_at_once)
-        yield
-
-
-def _settle(lane: pair._Lane) -> None:
-    """Let the camera's thread come to the end of what it was told, or hang in it."""
-    if lane._thread is not None:
-        future = lane._thread.submit(lambda: None)
-        future.add_done_callback(lane._camera.notify)
-        lane._camera.wait_for(future.done)
-
-
-def _wait_for_the_one_left_behind(lane: pair._Lane) -> None:
-    """Its call has returned: it closes the camera and ends, before the next slot comes."""
-    if lane._left_behind is not None:
-        thread: threading.Thread = lane._left_behind._thread
-        thread.join(ENDED_S)
-        assert not thread.is_alive()
