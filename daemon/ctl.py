@@ -16,35 +16,35 @@ from typing import Any
 
 import click
 
-from daemon.commands.options import Options, common_options
+from daemon.commands.options import Options, SuggestingGroup, common_options
 from daemon.error_report import run
 
 COMMANDS = {
     "check": "Check config, state and clock; with --hardware cameras too.",
-    "plan": "Foresee what a site will see and how well it will measure.",
+    "plan": "Predict what a site will see and how well it will measure.",
     "target": "Printable PDF of both targets at true scale.",
     "calibrate": "Calibrate from a frame set or with the pan-tilt head.",
     "preview": "Both cameras live, for aiming and focusing.",
     "capture": "Take and measure one pair now, beside dcamd too, and print it.",
-    "reload": "Have the running dcamd read its config anew.",
+    "reload": "Let the running dcamd read its config again.",
     "status": "Last value, cameras, coverage, gaps, disk; Nagios exit codes.",
-    "alarm": "Tell people of what status finds wrong; asked by a timer.",
+    "alarm": "Send people what status finds wrong; run by a timer.",
     "metrics": "What status knows, for Prometheus.",
     "gaps": "List slots without a measurement, and why.",
     "export": "Write measurements as a table.",
     "plot": "Draw a figure of the record, PNG or SVG.",
     "report": "Write the record of a span as one HTML file.",
     "backup": "Copy the database while the daemon runs.",
-    "redate": "Put right the times of what was taken under a wrong clock.",
+    "redate": "Correct the times of what was taken under a wrong clock.",
     "verify": "Read everything that was recorded, and check it.",
     "reprocess": "Measure kept frames or a frame set again.",
-    "simulate": "A simulated pan-tilt head on a serial port.",
+    "simulate": "Your site with simulated cameras; a head on a serial port.",
     "demo": "The whole system on a simulated rig, against the known truth.",
 }
 """Name and one line of each command, in the order of `--help`; code in `daemon.commands.<name>`."""
 
 
-class Commands(click.Group):
+class Commands(SuggestingGroup):
     """A group that imports a command's module when the command is wanted."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -61,7 +61,7 @@ class Commands(click.Group):
         return command if isinstance(command, click.Command) else None
 
     def main(self, *args: Any, **extra: Any) -> Any:
-        """Run; whatever keeps `status` from a verdict is told as a monitoring system reads it."""
+        """Run; an error of `status` is printed as a monitoring system reads it."""
         try:
             return super().main(*args, **extra)
         except BrokenPipeError:
@@ -119,7 +119,7 @@ def main() -> int:
 
 
 def _command(words: Sequence[str]) -> str | None:
-    """Which command is meant; the line may be what is wrong, so click cannot be asked."""
+    """Which command is meant; the command line may be wrong, so click cannot be asked."""
     return next((word for word in words if word in COMMANDS), None)
 
 

@@ -1,4 +1,4 @@
-"""What a user is told when something fails: one line, and an exit code that a script can read."""
+"""What a user reads when something fails: one line, and an exit code for scripts."""
 
 from __future__ import annotations
 
@@ -11,29 +11,30 @@ from collections.abc import Sequence
 import click
 
 from core.errors import CoreError
-from daemon.errors import ConfigError, DcamError, ExitCode, StoreError
+from daemon.errors import ConfigError, DcamError, ExitCode
+from daemon.file_errors import file_error_text
 from drivers.errors import DriverError
 
-_EXIT_CODES: tuple[tuple[type[BaseException], ExitCode], ...] = (
+_FOREIGN_EXIT_CODES: tuple[tuple[type[BaseException], ExitCode], ...] = (
     (click.UsageError, ExitCode.USAGE),
     (DriverError, ExitCode.HARDWARE),
     (CoreError, ExitCode.FAILED),
-    (StoreError, ExitCode.DATABASE),
     (sqlite3.Error, ExitCode.DATABASE),
     (OSError, ExitCode.HARDWARE),
 )
-"""Errors of other layers and libraries; the first match counts."""
+"""Errors of other layers and of libraries; the first match counts. Ours own their exit codes."""
 
 
 def exit_code_of(error: BaseException) -> ExitCode:
-    """Give the exit code that an error stands for; what nobody foresaw is 1."""
-    if isinstance(error, DcamError | StoreError):
-        return ExitCode(error.exit_code)
-    return next((code for kind, code in _EXIT_CODES if isinstance(error, kind)), ExitCode.FAILED)
+    """Give the exit code of an error; of an unexpected one it is 1."""
+    if isinstance(error, DcamError):
+        return error.exit_code
+    codes = (code for kind, code in _FOREIGN_EXIT_CODES if isinstance(error, kind))
+    return next(codes, ExitCode.FAILED)
 
 
 def lines_of(error: BaseException) -> tuple[str, ...]:
-    """Give what to tell the user: one line, or one for each problem of a config."""
+    """Give what the user reads: one line, or one for each problem of a config."""
     if isinstance(error, ConfigError):
         return error.problems
     if isinstance(error, click.UsageError):
@@ -43,7 +44,7 @@ def lines_of(error: BaseException) -> tuple[str, ...]:
     elif isinstance(error, KeyboardInterrupt | click.Abort):
         text = "interrupted"
     elif isinstance(error, OSError) and error.strerror:
-        text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+        text = file_error_text(error)
     elif _is_ours(error):
         text = str(error)
     else:
@@ -59,11 +60,13 @@ def _usage_text(error: click.UsageError) -> str:
 
 
 def _is_ours(error: BaseException) -> bool:
-    return isinstance(error, DcamError) or any(isinstance(error, kind) for kind, _ in _EXIT_CODES)
+    return isinstance(error, DcamError) or any(
+        isinstance(error, kind) for kind, _ in _FOREIGN_EXIT_CODES
+    )
 
 
 def report(error: BaseException, program: str, *, debug: bool) -> ExitCode:
-    """Tell the user on stderr what went wrong and give the exit code."""
+    """Print on stderr what went wrong, and give the exit code."""
     if debug:
         traceback.print_exception(error, file=sys.stderr)
     for line in lines_of(error):
@@ -83,6 +86,6 @@ def run(command: click.Command, program: str, arguments: Sequence[str] | None = 
         # The reader (`| head`) went away; the interpreter must not complain of it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return ExitCode.FAILED
-    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - the last place to say it
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - the last place to report it
         return report(error, program, debug="--debug" in argv)
     return result if isinstance(result, int) else ExitCode.DONE

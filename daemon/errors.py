@@ -23,23 +23,23 @@ class ExitCode(IntEnum):
 class DcamError(Exception):
     """Base of the errors the daemon layer raises on purpose; the message is one line."""
 
-    exit_code = ExitCode.FAILED
+    exit_code: ClassVar[ExitCode] = ExitCode.FAILED
 
 
 class WorkFailedError(DcamError):
-    """The command ran, and what it was asked for could not be had."""
+    """The command ran, and could not do or find what it was asked for."""
 
 
 class UsageError(DcamError):
-    """The command line asks for something that makes no sense."""
+    """The options given do not go together, or name something that cannot be used."""
 
-    exit_code = ExitCode.USAGE
+    exit_code: ClassVar[ExitCode] = ExitCode.USAGE
 
 
 class ConfigError(DcamError):
     """The config cannot be used; one line for each thing wrong in it."""
 
-    exit_code = ExitCode.CONFIG
+    exit_code: ClassVar[ExitCode] = ExitCode.CONFIG
 
     def __init__(self, *problems: str) -> None:
         super().__init__("\n".join(problems))
@@ -47,9 +47,9 @@ class ConfigError(DcamError):
 
 
 class HardwareError(DcamError):
-    """A device, a disk or another program stands in the way."""
+    """A device, a file, a disk or another program prevents the work."""
 
-    exit_code = ExitCode.HARDWARE
+    exit_code: ClassVar[ExitCode] = ExitCode.HARDWARE
 
 
 class AlreadyRunningError(HardwareError):
@@ -60,10 +60,10 @@ TO_SALVAGE = "restart dcamd, it sets the file aside and saves what can be read"
 """What to do about damage."""
 
 
-class StoreError(Exception):
+class StoreError(DcamError):
     """The database could not do what was asked; nothing of the request was written."""
 
-    exit_code: ClassVar[int] = 5
+    exit_code: ClassVar[ExitCode] = ExitCode.DATABASE
 
 
 class DatabaseMissingError(StoreError):
@@ -109,8 +109,20 @@ class DiskFullError(StoreError):
 class ArchiveError(StoreError):
     """A frame could not be written to the archive, for another reason than space."""
 
-    exit_code = 4
+    exit_code: ClassVar[ExitCode] = ExitCode.HARDWARE
 
 
 class SlotTakenError(StoreError):
     """The slot already has a row or a stored pair; what was measured is never overwritten."""
+
+
+def error_of(exit_code: ExitCode, text: str) -> DcamError:
+    """Give the error of another process: of the class that owns its exit code."""
+    if exit_code is ExitCode.CONFIG:
+        return ConfigError(*text.splitlines())
+    owners: dict[ExitCode, type[DcamError]] = {
+        ExitCode.USAGE: UsageError,
+        ExitCode.HARDWARE: HardwareError,
+        ExitCode.DATABASE: StoreError,
+    }
+    return owners.get(exit_code, WorkFailedError)(text)

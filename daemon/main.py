@@ -62,8 +62,8 @@ def serve(installation: Installation, max_slots: int | None = None) -> None:
     require_backend(config)
     configure_log(config.log.format, config.log.level)
     state = installation.state_directory
-    orders: ControlRequests[Station] = ControlRequests()
-    with given_by_signals(orders), sole_writer(state):
+    requests: ControlRequests[Station] = ControlRequests()
+    with given_by_signals(requests), sole_writer(state):
         relieve(state)
         reporter = Reporter(Notifier.from_environment(), runtime_directory(state))
         reporter.opening(database_bytes(state))
@@ -73,7 +73,7 @@ def serve(installation: Installation, max_slots: int | None = None) -> None:
             damage_noted(store),
         ):
             try:
-                Service(installation, store, orders, reporter).run(max_slots, begin_to_close)
+                Service(installation, store, requests, reporter).run(max_slots, begin_to_close)
             finally:
                 reporter.stopping()
 

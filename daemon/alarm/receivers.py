@@ -1,15 +1,23 @@
-"""Those who are told: Apprise's addresses, and a program of the site's own."""
+"""The receivers of an alarm: Apprise's addresses, and a program of the site's own.
+
+Addresses and commands hold secrets: no message repeats one, it names the position and the scheme.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import logging
 import os
+import re
+import shutil
 import signal
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
+from types import ModuleType
 
 from daemon.config.alarm import AlarmSection
 from daemon.errors import HardwareError
@@ -31,7 +39,7 @@ class Receiver:
     """One who is told."""
 
     name: str
-    """As the config has it, without its secrets."""
+    """Its key in the config, with the scheme of an address."""
     key: str
     """For the memory: the same as long as the address is the same, and no secret either."""
     send: Send
@@ -40,7 +48,7 @@ class Receiver:
 def receivers(settings: AlarmSection) -> list[Receiver]:
     """All that the config names."""
     found = [
-        Receiver(f"urls[{number}] ({url.partition(':')[0]})", _key(url), partial(_notify, url))
+        Receiver(_name(number, url), _key(url), partial(_notify, url))
         for number, url in enumerate(settings.urls)
     ]
     if settings.command:
@@ -49,12 +57,47 @@ def receivers(settings: AlarmSection) -> list[Receiver]:
     return found
 
 
+def receiver_problems(settings: AlarmSection) -> list[str]:
+    """Name the receivers that cannot work, each with what to do; nothing is sent.
+
+    Raises NotAcceptedError where Apprise is not installed.
+    """
+    problems = [
+        f"{_name(number, url)}: Apprise cannot use it; compare it with Apprise's list of URLs"
+        for number, url in enumerate(settings.urls)
+        if not _instantiates(url)
+    ]
+    problem = _program_problem(settings.command[0]) if settings.command else None
+    return problems if problem is None else [*problems, f"command[0]: {problem}"]
+
+
+def _name(number: int, url: str) -> str:
+    scheme = re.match(r"[A-Za-z][A-Za-z0-9+.-]*(?=:/)", url)
+    return f"urls[{number}] ({scheme[0] if scheme else 'no scheme'})"
+
+
+def _instantiates(url: str) -> bool:
+    with _apprise_log():
+        return _apprise().Apprise.instantiate(url) is not None
+
+
+def _program_problem(program: str) -> str | None:
+    """Say why a program cannot be started; None if it can."""
+    if shutil.which(program) is not None:
+        return None
+    if "/" not in program:
+        return "no such program in PATH; name it by its whole path"
+    if not Path(program).is_file():
+        return "there is no such program; check its path"
+    return "the program is not executable; chmod +x it, for the user dcam too"
+
+
 def _key(address: str) -> str:
     return hashlib.sha256(address.encode()).hexdigest()[:16]
 
 
 class _Complaints(logging.Handler):
-    """Keeps what Apprise says of a failure: it tells its log, and raises nothing."""
+    """Keeps what Apprise says of a failure: it writes to its log, and raises nothing."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -64,12 +107,30 @@ class _Complaints(logging.Handler):
         self.lines.append(" ".join(record.getMessage().split()))
 
 
-def _notify(url: str, title: str, text: str) -> None:
+@contextmanager
+def _apprise_log() -> Iterator[_Complaints]:
+    """Keep what Apprise logs while the block runs, away from the terminal."""
+    log, complaints = logging.getLogger("apprise"), _Complaints()
+    log.addHandler(complaints)
+    propagate, log.propagate = log.propagate, False
+    try:
+        yield complaints
+    finally:
+        log.removeHandler(complaints)
+        log.propagate = propagate
+
+
+def _apprise() -> ModuleType:
     try:
         import apprise
     except ImportError:
         msg = "apprise is not installed; pip install 'dcam[alarm]'"
         raise NotAcceptedError(msg) from None
+    return apprise
+
+
+def _notify(url: str, title: str, text: str) -> None:
+    apprise = _apprise()
 
     def notify() -> bool:
         # Its own threads would gain nothing for one address, and outlive the deadline.
@@ -80,17 +141,12 @@ def _notify(url: str, title: str, text: str) -> None:
             raise NotAcceptedError(msg)
         return bool(sender.notify(body=text, title=title, body_format=apprise.NotifyFormat.TEXT))
 
-    log, complaints = logging.getLogger("apprise"), _Complaints()
-    log.addHandler(complaints)
-    propagate, log.propagate = log.propagate, False
-    try:
-        accepted = DeadlineThread("dcam-alarm", lambda: None).call(notify, DEADLINE_S)
-    except DeadlineExceededError:
-        msg = f"no answer in {DEADLINE_S:.0f} s"
-        raise NotAcceptedError(msg) from None
-    finally:
-        log.removeHandler(complaints)
-        log.propagate = propagate
+    with _apprise_log() as complaints:
+        try:
+            accepted = DeadlineThread("dcam-alarm", lambda: None).call(notify, DEADLINE_S)
+        except DeadlineExceededError:
+            msg = f"no answer in {DEADLINE_S:.0f} s"
+            raise NotAcceptedError(msg) from None
     if not accepted:
         raise NotAcceptedError("; ".join(complaints.lines) or "not accepted")
 
@@ -107,16 +163,16 @@ def _run(command: Sequence[str], title: str, text: str) -> None:
             start_new_session=True,
         )
     except OSError as error:
-        msg = f"{command[0]}: {error.strerror}"
+        msg = _program_problem(command[0]) or f"cannot be started: {error.strerror}"
         raise NotAcceptedError(msg) from None
     with process:
         try:
             _, complaint = process.communicate(f"{title}\n{text}\n", DEADLINE_S)
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)  # what it has started, too
-            msg = f"{command[0]}: not done in {DEADLINE_S:.0f} s"
+            msg = f"not done in {DEADLINE_S:.0f} s"
             raise NotAcceptedError(msg) from None
     if process.returncode:
-        last = (complaint.strip().splitlines() or ["no word"])[-1]
-        msg = f"{command[0]}: ended with code {process.returncode}: {last}"
+        last = (complaint.strip().splitlines() or ["it printed no reason"])[-1]
+        msg = f"ended with code {process.returncode}: {last}"
         raise NotAcceptedError(msg)

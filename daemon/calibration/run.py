@@ -37,7 +37,14 @@ class CalibrationRun:
     calibration: Calibration
     report: CalibrationReport
     left_out: tuple[str, ...]
-    """Views that could not be used, each with its reason."""
+    """Views that could not be read, each with its reason."""
+    rejected: tuple[FrameSetRow, ...] = ()
+    """Rows of the views that were read, but do not fit the others or show no target."""
+
+    @property
+    def rejected_positions(self) -> list[FrameSetRow]:
+        """Rows of the rig positions among the rejected views."""
+        return [row for row in self.rejected if row.role == "rig"]
 
 
 def views_in(directory: Path) -> FrameSet:
@@ -85,7 +92,9 @@ def calibrate_frames(
             lines=(*report.lines, *(f"Left out: {reason}." for reason in left_out)),
             figures={**report.figures, "left_out": left_out},
         )
-    return CalibrationRun(frames.directory, calibration, report, tuple(left_out))
+    rows = {_view_name(row): row for row in frames.rows}
+    rejected = tuple(rows[entry["view"]] for entry in report.figures["rejected"])
+    return CalibrationRun(frames.directory, calibration, report, tuple(left_out), rejected)
 
 
 def store_run(
@@ -109,11 +118,16 @@ def _view(frames: FrameSet, row: FrameSetRow, site: Site) -> CalibrationView:
         msg = f"{frames.directory}: row {format_slot(row.slot_utc)} names no sub image"
         raise FrameSetError(msg)
     return CalibrationView(
-        name=f"{row.role} {format_slot(row.slot_utc)} ({row.sub})",
+        name=_view_name(row),
         role=ViewRole(row.role),
         main=_image(frames, row.main, site.main),
         sub=sub,
     )
+
+
+def _view_name(row: FrameSetRow) -> str:
+    """How messages call a view; unique in a frame set, as its slot is."""
+    return f"{row.role} {format_slot(row.slot_utc)} ({row.sub})"
 
 
 def _image(frames: FrameSet, name: str | None, camera: CameraGeometry) -> GreyImage | None:

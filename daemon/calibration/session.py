@@ -29,7 +29,6 @@ from drivers.frameset import (
     FrameSet,
     FrameSetRow,
     encode_png,
-    format_slot,
     read_frame_set,
     write_table,
 )
@@ -135,7 +134,7 @@ def _read(directory: Path) -> Session | None:
 
 
 def take_views(
-    rig: CalibrationDevices,
+    devices: CalibrationDevices,
     state: Path,
     config_hash: str,
     lens_views: FrameSet | None,
@@ -149,59 +148,54 @@ def take_views(
     CalibrationError for what the first look shows, HardwareError, HeadError, DeviceError, OSError.
     """
     try:
-        rig.head.move_to(*ZERO)
+        devices.head.move_to(*ZERO)
         if resume is None:
-            session = _begin(rig, state, config_hash, lens_views, on_step, on_trouble)
+            session = _begin(devices, state, config_hash, lens_views, on_step, on_trouble)
         else:
             session = resume
             for role, exposure in session.plan.exposures.items():
-                rig.source.set_exposure(role, *exposure)
+                devices.source.set_exposure(role, *exposure)
             # Whether anything moved while nobody looked shows at the zero.
-            _take_position(rig, session, len(session.plan.positions), ZERO, on_step, on_trouble)
+            _take_position(devices, session, len(session.plan.positions), ZERO, on_step, on_trouble)
         for number, position in enumerate(session.plan.positions):
             if number not in session.done:
-                _take_position(rig, session, number, position, on_step, on_trouble)
+                _take_position(devices, session, number, position, on_step, on_trouble)
         session.note(session.plan.model_copy(update={"state": "taken"}))
     except BaseException:
-        rig.head.halt()
+        devices.head.halt()
         raise
     finally:
-        if rig.hold_board is not None:
-            rig.hold_board(None)
-    rig.head.move_to(*ZERO)
+        if devices.hold_board is not None:
+            devices.hold_board(None)
+    devices.head.move_to(*ZERO)
     return session
 
 
 def take_again(
-    rig: CalibrationDevices,
+    devices: CalibrationDevices,
     session: Session,
-    slots: Sequence[str],
+    rejected: Sequence[FrameSetRow],
     on_step: OnStep,
     on_trouble: OnTrouble,
 ) -> int:
     """Take the positions of rig views that did not fit once more; give how many there were.
 
-    slots are the views' slots as `frames.csv` writes them. The views that did not fit stay in
-    the frame set. Raises as `take_views`.
+    rejected are rows of the session. Those views stay in the frame set. Raises as `take_views`.
     """
-    steps = {
-        int(row.extra["step"])
-        for row in session.rows
-        if row.role == "rig" and format_slot(row.slot_utc) in slots
-    }
+    steps = {int(row.extra["step"]) for row in rejected}
     positions = (*session.plan.positions, ZERO)
     try:
         for number in sorted(steps):
-            _take_position(rig, session, number, positions[number], on_step, on_trouble)
+            _take_position(devices, session, number, positions[number], on_step, on_trouble)
     except BaseException:
-        rig.head.halt()
+        devices.head.halt()
         raise
-    rig.head.move_to(*ZERO)
+    devices.head.move_to(*ZERO)
     return len(steps)
 
 
 def _begin(
-    rig: CalibrationDevices,
+    devices: CalibrationDevices,
     state: Path,
     config_hash: str,
     lens_views: FrameSet | None,
@@ -209,44 +203,56 @@ def _begin(
     on_trouble: OnTrouble,
 ) -> Session:
     """Take lens views and zero, and plan the positions from what the zero shows."""
-    if rig.hold_board is not None and lens_views is None:
-        rig.hold_board(None)
-    exposures = _settled_light(rig)
-    first_utc, check = settled_view_check(rig.source, rig.clock, rig.site)
+    if devices.hold_board is not None and lens_views is None:
+        devices.hold_board(None)
+    exposures = _settled_light(devices)
+    first_utc, check = settled_view_check(devices.source, devices.clock, devices.site)
     if check.problems or check.discs is None:
         raise CalibrationError("before calibrating: " + "; ".join(check.problems))
-    positions = tuple(planned_positions(rig.site, check.discs, rig.limits))
+    positions = tuple(planned_positions(devices.site, check.discs, devices.limits))
     directory = new_directory(state / FOLDER / f"{first_utc:%Y%m%dT%H%M%SZ}")
     plan = Plan(config_hash=config_hash, positions=positions, state="taking", exposures=exposures)
     session = Session(directory, plan, [])
     session.note(plan)
     if lens_views is not None:
         _copy_lens_views(session, lens_views)
-    elif rig.hold_board is not None:
-        for number in range(SIMULATED_LENS_VIEWS):
-            rig.hold_board(number)
-            on_step(f"lens view {number + 1}")
-            slot_utc, seen = settled_view_check(rig.source, rig.clock, rig.site, board_only=True)
-            session.add(_keep(session, slot_utc, "intrinsics", seen, None, None))
-            if seen.problems:
-                on_trouble(f"lens view {number + 1}: {'; '.join(seen.problems)}")
-        rig.hold_board(None)
+    elif devices.hold_board is not None:
+        _take_simulated_lens_views(devices, devices.hold_board, session, on_step, on_trouble)
     on_step("zero")
-    slot_utc, seen = take_reference(rig.source, rig.clock, rig.site, on_trouble)
-    session.add(_keep(session, slot_utc, "reference", seen, rig.head, None))
+    slot_utc, seen = take_reference(devices.source, devices.clock, devices.site, on_trouble)
+    session.add(_keep(session, slot_utc, "reference", seen, devices.head, None))
     return session
 
 
-def _settled_light(rig: CalibrationDevices) -> dict[Role, tuple[float, float | None]]:
+def _take_simulated_lens_views(
+    devices: CalibrationDevices,
+    hold_board: Callable[[int | None], None],
+    session: Session,
+    on_step: OnStep,
+    on_trouble: OnTrouble,
+) -> None:
+    """Let the simulation hold the board before the sub-camera, pose after pose."""
+    source, clock, site = devices.source, devices.clock, devices.site
+    for number in range(SIMULATED_LENS_VIEWS):
+        hold_board(number)
+        on_step(f"lens view {number + 1}")
+        slot_utc, seen = settled_view_check(source, clock, site, board_only=True)
+        session.add(_keep(session, slot_utc, "intrinsics", seen, None, None))
+        if seen.problems:
+            on_trouble(f"lens view {number + 1}: {'; '.join(seen.problems)}")
+    hold_board(None)
+
+
+def _settled_light(devices: CalibrationDevices) -> dict[Role, tuple[float, float | None]]:
     """Let the light be followed before the first view, and give the exposures found."""
-    if rig.exposure is None:
+    if devices.exposure is None:
         return {}
-    settle(rig.source, rig.clock, rig.exposure)
-    return {role: (at.time_us, at.gain_db) for role, at in rig.exposure.asked.items()}
+    settle(devices.source, devices.clock, devices.exposure)
+    return {role: (at.time_us, at.gain_db) for role, at in devices.exposure.asked.items()}
 
 
 def _take_position(
-    rig: CalibrationDevices,
+    devices: CalibrationDevices,
     session: Session,
     number: int,
     position: Position,
@@ -256,9 +262,9 @@ def _take_position(
     """Move, wait until the images stand still, keep the pair; again if it shows too little."""
     on_step(f"position {number + 1} of {len(session.plan.positions)}")
     for left in reversed(range(TRIES)):
-        rig.head.move_to(*position)
-        slot_utc, check = settled_view_check(rig.source, rig.clock, rig.site)
-        session.add(_keep(session, slot_utc, "rig", check, rig.head, number, position))
+        devices.head.move_to(*position)
+        slot_utc, check = settled_view_check(devices.source, devices.clock, devices.site)
+        session.add(_keep(session, slot_utc, "rig", check, devices.head, number, position))
         if not check.problems:
             return
         then = "taken again" if left else "kept as it is"

@@ -1,4 +1,4 @@
-"""`dcam-ctl alarm`: look once, and tell those whom the config names if something is wrong."""
+"""`dcam-ctl alarm`: judge the site once, and send a message where something is wrong."""
 
 from __future__ import annotations
 
@@ -33,19 +33,23 @@ from daemon.text import utc_text
     "alarm",
     epilog="\b\nExample:\n  dcam-ctl alarm --test\n  dcam-ctl alarm",
 )
-@click.option("--test", is_flag=True, help="Send a message now, and tell who accepted it.")
+@click.option("--test", is_flag=True, help="Send a message now, and print who accepted it.")
 @at_option
 @common_options
 @pass_options
 def command(options: Options, test: bool, at_utc: datetime | None) -> int:
-    """Look once, as status does, and tell whom [alarm] names what has lasted for too long.
+    """Judge the site once, as status does, and send what has been wrong for too long.
 
-    Told when it begins, again after repeat_h, and when all is well again; the timer
-    dcam-alarm.timer asks every five minutes. Exit code 4: a receiver did not accept its message,
-    which is sent again at the next look.
+    A message is sent when something goes wrong, again after repeat_h, and when all is well again;
+    dcam-alarm.timer runs this every five minutes. Exit code 4: a receiver did not accept its
+    message, which is sent again the next time. With --test, 3: [alarm] names nobody.
     """
     place = _find(options)
     everyone = receivers(place.settings)
+    if not everyone and test:
+        where = find_config(options.config_flag)
+        msg = f"{where}: [alarm] names nobody to tell; set its urls = [...] or command = [...]"
+        raise ConfigError(msg)
     if not everyone:
         say("nobody to tell: [alarm] in the config names neither urls nor a command")
         return ExitCode.DONE
@@ -139,7 +143,7 @@ def _keep(state: Path, kept: Memory, memory: Memory, code: ExitCode) -> tuple[Me
 def _try_all(everyone: Sequence[Receiver], site: str, now_utc: datetime) -> ExitCode:
     """Send each receiver a test."""
     when = utc_text(now_utc.replace(microsecond=0))
-    words = f"Somebody tries at {when} whether alarms arrive. Nothing is wrong."
+    words = f"A test, sent at {when}, of whether alarms arrive. Nothing is wrong."
     taken = [_send(receiver, f"dcam {site}: test", words) for receiver in everyone]
     return ExitCode.DONE if all(taken) else ExitCode.HARDWARE
 

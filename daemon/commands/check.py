@@ -7,6 +7,7 @@ from dataclasses import asdict
 
 import click
 
+from daemon.checks.alarm import check_alarm
 from daemon.checks.computer import check_clock, check_computer, check_user
 from daemon.checks.devices import check_backend, check_cameras, check_head, check_links
 from daemon.checks.disk import check_room, check_speed
@@ -30,11 +31,11 @@ from daemon.errors import ExitCode
 @common_options
 @pass_options
 def command(options: Options, hardware: bool, as_json: bool) -> int:
-    """Check config, geometry, state, database, calibration and clock; with --hardware the rest.
+    """Check config, geometry, state, database, calibration, clock and alarm.
 
-    Each line is ok, warning or error, and says what to do. Nothing is changed, but for a file that
-    is written to try the disk and taken away again. The exit code is that of the first error, 0
-    when there is none.
+    With --hardware also the computer, cameras, head and disk. Each line is ok, warning or error,
+    and says what to do. Nothing is changed; a file that is written to try the disk is removed
+    again. The exit code is that of the first error, 0 when there is none.
     """
     findings = list(_findings(options.installation, hardware=hardware))
     if as_json:
@@ -52,6 +53,7 @@ def _findings(site: Installation, *, hardware: bool) -> Iterator[Finding]:
     yield check_room(config, state)
     yield from check_database(site)
     yield check_clock(simulated=config.has_stepped_clock)
+    yield from check_alarm(config.alarm)
     yield check_backend(config)
     if not hardware:
         return

@@ -19,7 +19,8 @@ import numpy as np
 from core.arrays import FloatArray
 from core.calibration.calibrate import Method
 from core.results import Flag
-from daemon.commands.calibrate import calibrate_with_head, judge_and_store
+from daemon.commands.calibrate_head import calibrate_with_head
+from daemon.commands.calibrate_result import judge_and_store
 from daemon.commands.gaps import print_gaps
 from daemon.commands.options import common_options
 from daemon.commands.output import note, print_table, progress, say

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 import re
 import stat
@@ -74,6 +75,24 @@ def _require_usable(state: Path) -> None:
         group = group_name(state.stat().st_gid)
         msg = f"{state}: cannot be read; check its permissions, or join its group {group}"
         raise HardwareError(msg)
+
+
+class SuggestingGroup(click.Group):
+    """A group that suggests the nearest command where the name is mistyped."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command. Raises click.UsageError with the nearest names."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError:
+            near = difflib.get_close_matches(args[0], self.list_commands(ctx), n=3)
+            if not near:
+                raise
+            names = " or ".join(f"'{name}'" for name in near)
+            msg = f"No such command {args[0]!r}. Did you mean {names}?"
+            raise click.UsageError(msg, ctx) from None
 
 
 pass_options = click.make_pass_decorator(Options, ensure=True)

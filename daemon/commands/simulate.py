@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from daemon.commands.options import common_options
+from daemon.commands.options import SuggestingGroup, common_options
 from daemon.errors import ExitCode, UsageError
 from drivers.sim.head_machine import Faults, FaultyHead, HeadMachine
 from drivers.sim.head_pelco import PelcoMachine, PelcoModel
@@ -19,6 +19,7 @@ from drivers.sim.head_server import HeadServer
 
 @click.group(
     "simulate",
+    cls=SuggestingGroup,
     epilog="\b\nExample:\n  dcam-ctl simulate head --protocol ptu --link /tmp/head",
 )
 def command() -> None:

@@ -25,7 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from daemon.control.camera_lease import CameraLease
 from daemon.control.run_state import runtime_directory
 from daemon.error_report import exit_code_of, lines_of
-from daemon.errors import DcamError, ExitCode, HardwareError
+from daemon.errors import ExitCode, HardwareError, error_of
 from daemon.lock import sole_writer
 from daemon.version import VERSION
 
@@ -62,7 +62,7 @@ class Answer(BaseModel):
     ok: bool
     error: str = ""
     version: str = VERSION
-    exit_code: int = ExitCode.HARDWARE
+    exit_code: ExitCode = ExitCode.HARDWARE
     """Of a command that fails with this error."""
     paused: str = ""
     """Why it is paused; empty while it measures."""
@@ -95,7 +95,7 @@ def _address(directory: Path) -> Iterator[str]:
 
 @contextmanager
 def control_socket(
-    state: Path, pause: CameraLease, offers: CommandHandlers | None = None
+    state: Path, lease: CameraLease, handlers: CommandHandlers | None = None
 ) -> Iterator[None]:
     """Answer on the control socket while the block runs, in a thread of its own.
 
@@ -108,7 +108,7 @@ def control_socket(
         _log.warning("no_control_socket", directory=str(directory), error=str(error))
         yield
         return
-    server = _Server(pause, offers)
+    server = _Server(lease, handlers)
     thread = threading.Thread(target=server.run, args=(listening,), name="control", daemon=True)
     thread.start()
     try:
@@ -137,9 +137,9 @@ def _listen(directory: Path) -> socket.socket:
 class _Server:
     """The connections, on an event loop of their own."""
 
-    def __init__(self, pause: CameraLease, offers: CommandHandlers | None) -> None:
-        self._lease = pause
-        self._handlers = offers
+    def __init__(self, lease: CameraLease, handlers: CommandHandlers | None) -> None:
+        self._lease = lease
+        self._handlers = handlers
         self._busy = ""
         """What is being done for a client, of that which is done for one at a time."""
         self._started = threading.Event()
@@ -209,10 +209,10 @@ class _Server:
         elif request.command == "resume":
             await asyncio.to_thread(self._lease.release, holder)
         elif request.command != "status":
-            return await self._offered(request.command, holder)
+            return await self._handled(request.command, holder)
         return Answer(ok=True, paused=self._lease.reason or "")
 
-    async def _offered(self, command: Literal["capture", "reload"], holder: object) -> Answer:
+    async def _handled(self, command: Literal["capture", "reload"], holder: object) -> Answer:
         """Do it in a thread; a crowd that asks for it gets one, and the others are refused."""
         if self._handlers is None or self._busy:
             return Answer(ok=False, error=f"{self._busy or 'start'} in progress; try again later")
@@ -264,9 +264,8 @@ def ask_daemon(state: Path, command: Literal["capture", "reload"]) -> Answer | N
         answer = _ask(connection, Request(command=command))
     if answer.ok:
         return answer
-    refused = DcamError(f"dcamd: {answer.error}")
-    refused.exit_code = ExitCode(answer.exit_code)
-    raise refused
+    lines = (f"dcamd: {line}" for line in answer.error.splitlines())
+    raise error_of(answer.exit_code, "\n".join(lines))
 
 
 @contextmanager

@@ -67,7 +67,7 @@ class ControlRequests(Generic[_T]):
 
 
 @contextmanager
-def given_by_signals(orders: ControlRequests[_T]) -> Iterator[None]:
+def given_by_signals(requests: ControlRequests[_T]) -> Iterator[None]:
     """While the block runs, SIGTERM and SIGINT stop, and SIGHUP reloads.
 
     They are obeyed by a thread of its own: a Python handler runs in between two steps of the
@@ -80,10 +80,10 @@ def given_by_signals(orders: ControlRequests[_T]) -> Iterator[None]:
         while received := reader.recv(1):
             number = signal.Signals(received[0])
             if number is signal.SIGHUP:
-                _reload(orders)
+                _reload(requests)
             elif number in STOP_SIGNALS:
                 _log.info("stopping", signal=number.name)
-                orders.stop()
+                requests.stop()
 
     obeying = threading.Thread(target=obey, name="signals", daemon=True)
     obeying.start()
@@ -104,8 +104,8 @@ def _noted(_number: int, _frame: FrameType | None) -> None:
     """Do nothing: the interpreter has written the signal's number to the wakeup descriptor."""
 
 
-def _reload(orders: ControlRequests[_T]) -> None:
+def _reload(requests: ControlRequests[_T]) -> None:
     try:
-        orders.reload()
+        requests.reload()
     except Exception as error:  # noqa: BLE001 - the config in force stays in force
         _log.error("reload_refused", error="; ".join(lines_of(error)))

@@ -46,7 +46,7 @@ class SlotRunner:
         stop: threading.Event,
         last_utc: datetime | None,
         reporter: Reporter,
-        pause: CameraLease | None = None,
+        lease: CameraLease | None = None,
         circuit: Circuit | None = None,
     ) -> None:
         self._context = context
@@ -54,7 +54,7 @@ class SlotRunner:
         self._source = source
         self._stop = stop
         self._reporter = reporter
-        self._lease = pause or CameraLease(source.close)
+        self._lease = lease or CameraLease(source.close)
         self._circuit = circuit or Circuit()
         self._last = last_utc
         """The last slot that is accounted for, or owed."""

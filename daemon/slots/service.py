@@ -63,11 +63,11 @@ class Service:
         self,
         installation: Installation,
         store: Store,
-        orders: ControlRequests[Station],
+        requests: ControlRequests[Station],
         reporter: Reporter,
     ) -> None:
         self._store = store
-        self._orders = orders
+        self._requests = requests
         self._reporter = reporter
         self._lease = CameraLease(changed=reporter.paused)
         accounted = store.accounted()
@@ -86,17 +86,17 @@ class Service:
             store.add_event(clock.now_utc(), "started", f"version {VERSION}")
             name = self._station.installation.config.name
             _log.info("started", site=name, version=VERSION, state=str(state))
-            offers = CommandHandlers(capture=self._look, reload=self._orders.reload)
-            opened.enter_context(control_socket(state, self._lease, offers))
+            handlers = CommandHandlers(capture=self._look, reload=self._requests.reload)
+            opened.enter_context(control_socket(state, self._lease, handlers))
             opened.callback(begin_to_close)
-            self._orders.accept_reloads(self._reread)
+            self._requests.accept_reloads(self._reread)
             following: Station | None = self._station
             while following is not None:
                 if following is not self._station:
                     last_utc = self._take_over(following)
                 left = None if max_slots is None else max_slots - done
                 done += self._run_station(last_utc, left)
-                following = None if done == max_slots else self._orders.take()
+                following = None if done == max_slots else self._requests.take()
             self._reporter.stopping()
         store.add_event(clock.now_utc(), "stopped", f"after {done} slots")
         mark_stop(store, clock.now_utc())
@@ -135,7 +135,7 @@ class Service:
         since = self._clock.now_utc() - DAY
         circuit = Circuit(ended_before=len(self._store.events(since, kind=PROCESS_SPENT)))
         runner = SlotRunner(
-            *(context, schedule, source, self._orders.wake, last_utc, self._reporter),
+            *(context, schedule, source, self._requests.wake, last_utc, self._reporter),
             *(self._lease, circuit),
         )
         try:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import ClassVar
 
 from daemon.errors import (
     ArchiveError,
@@ -53,6 +54,22 @@ class Action(StrEnum):
     """The process ends with the error's exit code; systemd starts a fresh one, which recovers."""
 
 
+class ProcessSpentError(DcamError):
+    """Slot after slot has failed, and a new process may do better."""
+
+
+class DevicesSpentError(ProcessSpentError):
+    """A camera's library hangs in this process."""
+
+    exit_code: ClassVar[ExitCode] = ExitCode.HARDWARE
+
+
+class DatabaseSpentError(ProcessSpentError):
+    """The database is damaged; the next process salvages it at its start."""
+
+    exit_code: ClassVar[ExitCode] = ExitCode.DATABASE
+
+
 @dataclass(frozen=True, slots=True)
 class Policy:
     """What is done about one class of errors."""
@@ -63,8 +80,8 @@ class Policy:
     """What the gap of the slot says."""
     patience: int | None = None
     """So many slots in a row may end so; then the process ends. None: there is no such number."""
-    exit_code: ExitCode = ExitCode.FAILED
-    """With which it ends."""
+    ends_with: type[ProcessSpentError] = ProcessSpentError
+    """The error that ends it, which owns the exit code."""
 
 
 POLICIES = (
@@ -72,13 +89,13 @@ POLICIES = (
     Policy(IncompleteFrameError, Action.RETRY, GapCause.CAPTURE_FAILED),
     Policy(FrameTimeoutError, Action.NEXT_SLOT, GapCause.CAMERA_LOST),
     Policy(SettingRefusedError, Action.REOPEN, GapCause.CAPTURE_FAILED),
-    Policy(DeviceHangsError, Action.REOPEN, GapCause.CAMERA_LOST, 30, ExitCode.HARDWARE),
+    Policy(DeviceHangsError, Action.REOPEN, GapCause.CAMERA_LOST, 30, DevicesSpentError),
     Policy(DeviceLostError, Action.REOPEN, GapCause.CAMERA_LOST),
     Policy(DriverError, Action.NEXT_SLOT, GapCause.CAPTURE_FAILED),
     # Disk and database
     Policy(DiskFullError, Action.OWE, GapCause.DISK_FULL),
     Policy(ArchiveError, Action.DEGRADE, GapCause.STORAGE_FAILED),
-    Policy(DatabaseDamagedError, Action.EXIT, GapCause.STORAGE_FAILED, 1, ExitCode.DATABASE),
+    Policy(DatabaseDamagedError, Action.EXIT, GapCause.STORAGE_FAILED, 1, DatabaseSpentError),
     Policy(SlotTakenError, Action.NEXT_SLOT, GapCause.STORAGE_FAILED),
     Policy(StoreError, Action.OWE, GapCause.STORAGE_FAILED),
     # What nobody foresaw
@@ -95,10 +112,6 @@ INTERNAL = POLICIES[-1]
 def policy_of(error: Exception) -> Policy:
     """Give the policy of an error."""
     return next(policy for policy in POLICIES if isinstance(error, policy.error))
-
-
-class ProcessSpentError(DcamError):
-    """Slot after slot has failed for a reason that a fresh process may not have."""
 
 
 @dataclass(slots=True)
@@ -120,8 +133,5 @@ class Circuit:
         self._policy = policy
         if self.failed < policy.patience << min(self.ended_before, MOST_DOUBLINGS):
             return
-        error = ProcessSpentError(
-            f"{self.failed} slot(s) in a row failed ({detail}): a fresh process may not"
-        )
-        error.exit_code = policy.exit_code
-        raise error
+        msg = f"{self.failed} slot(s) in a row failed ({detail}); a new process may succeed"
+        raise policy.ends_with(msg)

@@ -81,7 +81,7 @@ def test_ten_kills(tmp_path: Path) -> None:
         with start(tmp_path) as program:
             said = program.stderr.read()
         assert program.returncode == 0, said
-        assert b"going on with" in said
+        assert b"continuing" in said
     assert halted > 0
     with open_store_readonly(state) as store:
         assert [record.id for record in store.calibrations()] == [1]

@@ -247,7 +247,7 @@ def test_lens_views_that_were_broken_off_do_not_replace_whole_ones(
         program.send_signal(signal.SIGTERM)
         _, err = program.communicate(timeout=60)
     assert program.returncode == 1
-    assert err.splitlines()[-1].endswith("too few to be used; the same command begins anew")
+    assert err.splitlines()[-1].endswith("too few to be used; the same command starts again")
     assert read_frame_set(second).rows_of("intrinsics")
     assert latest_lens_views(tmp_path / "state").directory == whole.directory
 

@@ -19,7 +19,7 @@ from core.discs.disc_finder import find_discs
 from core.errors import CalibrationError
 from core.images import GreyImage
 from daemon.calibration.positions import VIEWS, ZERO, Limits, planned_positions
-from daemon.calibration.session import FOLDER, Rig, Session, take_views, unfinished
+from daemon.calibration.session import FOLDER, CalibrationDevices, Session, take_views, unfinished
 from daemon.calibration.view_check import SETTLE_TIMEOUT_S, STILL_PX
 from daemon.commands import calibrate as command
 from daemon.config.reading import load_config
@@ -49,7 +49,7 @@ def config(tmp_path: Path) -> Path:
 class Watched:
     """A simulated rig that tells what was done to it, and to which things can be done."""
 
-    rig: Rig
+    devices: CalibrationDevices
     world: World
     moves: list[tuple[float, float]] = field(default_factory=list)
     captures: int = 0
@@ -96,7 +96,7 @@ def watched(config: Path) -> Watched:
     devices = open_simulated_rig(loaded, clock)
     made = Watched(None, devices.world)
     made._true_source = devices.source
-    made.rig = Rig(loaded.site(), made, made, Limits(5.0, 5.0), clock, None)
+    made.devices = CalibrationDevices(loaded.site(), made, made, Limits(5.0, 5.0), clock, None)
     return made
 
 
@@ -104,7 +104,9 @@ def take(
     made: Watched, state: Path, resume: Session | None = None, lens: FrameSet | None = None
 ) -> tuple[Session, list[str]]:
     troubles: list[str] = []
-    session = take_views(made.rig, state, HASH, lens, resume, lambda _step: None, troubles.append)
+    session = take_views(
+        made.devices, state, HASH, lens, resume, lambda _step: None, troubles.append
+    )
     return session, troubles
 
 
@@ -160,7 +162,7 @@ def test_the_light_is_settled_first_and_then_left_alone(config: Path, tmp_path: 
     text = config.read_text() + '[exposure]\nmode = "auto"\nmain_us = 400.0\nsub_us = 500.0\n'
     config.write_text(text)
     made = watched(config)
-    made.rig = replace(made.rig, exposure=loop_of(load_config(config)))
+    made.devices = replace(made.devices, exposure=loop_of(load_config(config)))
     pairs: list[tuple[int, CapturedPair]] = []
 
     def interrupt(_number: int, pair: CapturedPair) -> CapturedPair:
@@ -183,7 +185,9 @@ def test_the_light_is_settled_first_and_then_left_alone(config: Path, tmp_path: 
         assert (pair.sub.exposure_us, pair.sub.gain_db) == settled["sub"]
         assert 3000.0 < min(pair.main.exposure_us, pair.sub.exposure_us) < 6500.0
     again = watched(config)
-    again.rig = replace(again.rig, clock=made.rig.clock, exposure=loop_of(load_config(config)))
+    again.devices = replace(
+        again.devices, clock=made.devices.clock, exposure=loop_of(load_config(config))
+    )
     again.spoil = interrupt
     made.moves[4:] = []
     with pytest.raises(KeyboardInterrupt):
@@ -290,7 +294,7 @@ def test_the_zero_is_the_mean_of_its_clear_looks(config: Path, tmp_path: Path) -
     made.spoil = spoil
     troubles: list[str] = []
     with pytest.raises(KeyboardInterrupt):
-        take_views(made.rig, tmp_path, HASH, None, None, lambda _step: None, troubles.append)
+        take_views(made.devices, tmp_path, HASH, None, None, lambda _step: None, troubles.append)
     (trouble,) = troubles
     assert re.fullmatch("zero: 3 of 8 looks left out, .* the zero is the mean of 5", trouble)
     (directory,) = (tmp_path / FOLDER).iterdir()
@@ -342,9 +346,9 @@ def test_an_interrupted_session_goes_on_where_it_broke_off(
     begun = unfinished(tmp_path, HASH)
     assert begun is not None
     kept = list(begun.rows)
-    made.rig.clock.wait_until(kept[-1].slot_utc + timedelta(minutes=1), Event())
+    made.devices.clock.wait_until(kept[-1].slot_utc + timedelta(minutes=1), Event())
     again = watched(config)
-    again.rig = replace(again.rig, clock=made.rig.clock)
+    again.devices = replace(again.devices, clock=made.devices.clock)
     session, _ = take(again, tmp_path, begun)
     assert session.directory == begun.directory
     assert session.rows[: len(kept)] == kept
@@ -397,7 +401,7 @@ def test_killed_at_any_moment_nothing_is_half_made(
     ran = ctl(*arguments, "--json")
     assert ran.code == 0, ran.err
     assert taken[0] is not None
-    assert "going on with" in ran.err
+    assert "continuing" in ran.err
     result = json.loads(ran.out)
     assert result["passed"]
     assert result["active"]
@@ -424,5 +428,5 @@ def test_sigterm_halts_and_says_how_to_go_on(config: Path, tmp_path: Path) -> No
         program.send_signal(signal.SIGTERM)
         _, err = program.communicate(timeout=60)
     assert program.returncode == 1
-    assert "interrupted; the views are kept, the same command goes on from there" in err
+    assert "interrupted; the views are kept, the same command continues from there" in err
     assert len(err.strip().splitlines()) == 1

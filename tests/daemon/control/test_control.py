@@ -31,7 +31,7 @@ class Served:
     def __init__(self, station) -> None:
         self.station = station
         self.closed = 0
-        self.pause = CameraLease(self._close)
+        self.lease = CameraLease(self._close)
         self.runner = station.start()
         self.runner = SlotRunner(
             station.context,
@@ -40,7 +40,7 @@ class Served:
             station.stop,
             None,
             self.runner._reporter,
-            self.pause,
+            self.lease,
         )
 
     def _close(self) -> None:
@@ -50,7 +50,7 @@ class Served:
 @pytest.fixture
 def served(station) -> Iterator[Served]:
     served = Served(station)
-    with control_socket(station.state, served.pause):
+    with control_socket(station.state, served.lease):
         yield served
 
 
@@ -78,14 +78,14 @@ def ask(connection: socket.socket, line: bytes) -> dict:
     return json.loads(connection.makefile("rb").readline())
 
 
-def until_measuring(pause: CameraLease) -> None:
+def until_measuring(lease: CameraLease) -> None:
     """Wait until nobody holds the pause any more: a hold of our own gets through."""
     ended = threading.Event()
 
     def hold() -> None:
-        while not pause.hold(hold, "test"):
+        while not lease.hold(hold, "test"):
             pass
-        pause.release(hold)
+        lease.release(hold)
         ended.set()
 
     threading.Thread(target=hold, daemon=True).start()
@@ -99,7 +99,7 @@ def test_a_pause_is_a_gap_with_its_cause_and_ends_by_itself(served: Served) -> N
         assert paused
         assert served.closed == 1
         served.runner.run(3)
-    until_measuring(served.pause)
+    until_measuring(served.lease)
     served.runner.run(2)
     assert len(station.source.captures) == 4
     assert station.minutes() == [0, 1, 5, 6]
@@ -110,9 +110,9 @@ def test_a_pause_is_a_gap_with_its_cause_and_ends_by_itself(served: Served) -> N
 def test_a_client_that_dies_lets_the_daemon_go_on(served: Served) -> None:
     with connected(served.station.state) as connection:
         assert ask(connection, b'{"command": "pause"}')["ok"]
-        assert served.pause.reason == "paused"
+        assert served.lease.reason == "paused"
         # no resume: the connection just goes away, as the kernel does it for a killed process
-    until_measuring(served.pause)
+    until_measuring(served.lease)
     served.runner.run(1)
     assert served.station.minutes() == [0]
 

@@ -129,23 +129,23 @@ def test_a_look_keeps_away_from_slots(period_s, now_s, ended_s, has_room) -> Non
 
 
 def test_a_look_waits_for_the_slot_in_progress_and_a_slot_for_the_look() -> None:
-    pause, order = CameraLease(), []
+    lease, order = CameraLease(), []
     in_look, may_end = threading.Event(), threading.Event()
 
     def look() -> None:
-        with pause.between_slots(lambda ended_utc: ended_utc == MARCH, DEADLINE_S) as refusal:
+        with lease.between_slots(lambda ended_utc: ended_utc == MARCH, DEADLINE_S) as refusal:
             order.append(refusal or "look")
             in_look.set()
             may_end.wait(DEADLINE_S)
             order.append("look is over")
 
     looking = threading.Thread(target=look)
-    with pause.slot(MARCH):
+    with lease.slot(MARCH):
         looking.start()
         order.append("slot")
     assert in_look.wait(DEADLINE_S)
     may_end.set()
-    with pause.slot(MARCH + timedelta(minutes=1)):
+    with lease.slot(MARCH + timedelta(minutes=1)):
         order.append("slot")
     looking.join(DEADLINE_S)
     assert order == ["slot", "look", "look is over", "slot"]
@@ -157,11 +157,11 @@ def test_a_look_for_which_there_is_never_time_is_refused() -> None:
 
 
 def test_a_look_during_a_pause_is_refused_with_its_reason(station) -> None:
-    pause = CameraLease()
+    lease = CameraLease()
     with (
-        control_socket(station.state, pause),
+        control_socket(station.state, lease),
         paused_daemon(station.state, "calibration by pid 7"),
-        pause.between_slots(lambda _ended_utc: True, 0.0) as refusal,
+        lease.between_slots(lambda _ended_utc: True, 0.0) as refusal,
     ):
         assert refusal == "paused: calibration by pid 7"
 
