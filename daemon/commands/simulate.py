@@ -1,4 +1,4 @@
-"""`dcam-ctl simulate`: devices that are not there, as programs of their own."""
+"""`dcam-ctl simulate`: a site or a pan-tilt head without hardware."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from daemon.commands.options import SuggestingGroup, common_options
+from daemon.commands.simulate_site import command as site
 from daemon.errors import ExitCode, UsageError
 from drivers.sim.head_machine import Faults, FaultyHead, HeadMachine
 from drivers.sim.head_pelco import PelcoMachine, PelcoModel
@@ -20,10 +21,14 @@ from drivers.sim.head_server import HeadServer
 @click.group(
     "simulate",
     cls=SuggestingGroup,
-    epilog="\b\nExample:\n  dcam-ctl simulate head --protocol ptu --link /tmp/head",
+    epilog="\b\nExample:\n  dcam-ctl simulate site --config mine.toml --output /tmp/trial\n"
+    "  dcam-ctl simulate head --protocol ptu --link /tmp/head",
 )
 def command() -> None:
-    """Simulate a device, for trying dcam, or another program, without hardware."""
+    """Try dcam without hardware: one's own site simulated, or a head on a serial port."""
+
+
+command.add_command(site)
 
 
 @command.command(
@@ -163,9 +168,9 @@ def head(
 
 
 def require_free(option: str, path: Path, *, left_over: bool) -> None:
-    """Raise UsageError where a name cannot be made, or is that of something not ours to replace.
+    """Raise UsageError where a name cannot be made, or belongs to something else.
 
-    left_over: of a simulated head that was killed, and could not take its names away.
+    left_over: the name of a simulated head that was killed before it could remove it.
     """
     if not path.parent.is_dir():
         msg = f"{option} {path}: there is no directory {path.parent}"
