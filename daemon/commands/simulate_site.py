@@ -68,7 +68,8 @@ def command(options: Options, directory: Path, clock: Literal["stepped", "system
     write_durable(config, text.encode())
     shutil.copymode(source, config)
     load_config(config)
-    note(f"{config}: {source} with simulated cameras, head and clock ({clock}), and nobody in [alarm]")
+    simulated_parts = f"simulated cameras and head, clock {clock}, nobody in [alarm]"
+    note(f"{config}: as {source}, but {simulated_parts}; next:")
     _say_next(config, directory)
     return ExitCode.DONE
 
