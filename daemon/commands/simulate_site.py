@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import click
-import tomlkit
-from tomlkit.exceptions import ParseError
 
 from daemon.commands.options import Options, common_options, pass_options
 from daemon.commands.output import note, say
@@ -76,6 +74,9 @@ def command(options: Options, directory: Path, clock: Literal["stepped", "system
 
 def simulated(source: Path, clock: str, now_utc: datetime) -> str:
     """Give the text of a config with its devices simulated; comments stay. Raises ConfigError."""
+    import tomlkit
+    from tomlkit.exceptions import ParseError
+
     try:
         document: Any = tomlkit.parse(source.read_text(encoding="utf-8-sig"))
     except ParseError as error:
@@ -92,10 +93,13 @@ def simulated(source: Path, clock: str, now_utc: datetime) -> str:
         simulation["start_utc"] = begin_utc
     for name, key in _LEFT_OUT:
         document.get(name, {}).pop(key, None)
-    return tomlkit.dumps(document)
+    text: str = tomlkit.dumps(document)
+    return text
 
 
 def _table(document: Any, name: str) -> Any:
+    import tomlkit
+
     if name not in document:
         document.append(tomlkit.nl())
         document.append(name, tomlkit.table())
