@@ -1,5 +1,5 @@
-# dcam: `make demo`, `make test`, `make check`, `make bench`, `make clean`; as root `make install`,
-# `make uninstall`; `make deb`.
+# dcam: `make venv`, `make demo`, `make test`, `make check`, `make bench`, `make clean`;
+# as root `make install`, `make uninstall`; `make deb`.
 # Each makes .venv here and installs what it needs; a second run finds it all in place.
 # Another Python (3.11 or newer): make PYTHON=/path/to/python3 test
 
@@ -9,9 +9,10 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.stamp-installed
 
 .DELETE_ON_ERROR:
-.PHONY: help demo test check bench picture clean install uninstall deb
+.PHONY: help venv demo test check bench picture clean install uninstall deb
 
 help:
+	@echo "make venv    make .venv with all that is needed, and do nothing else: .venv/bin/dcam-ctl"
 	@echo "make demo    calibrate, measure 60 slots and more, and compare with the truth: out/demo"
 	@echo "make test    run the tests"
 	@echo "make check   lint, types, import contracts"
@@ -20,6 +21,9 @@ help:
 	@echo "make install install or upgrade the service, as root: /opt/dcam; make uninstall keeps data"
 	@echo "make deb     build a Debian package: dist/"
 	@echo "make clean   remove .venv and everything made here"
+
+venv: $(INSTALLED)
+	@echo "dcam: .venv is ready: .venv/bin/dcam-ctl --help"
 
 demo: $(INSTALLED)
 	$(BIN)/dcam-ctl demo --output out/demo

@@ -163,6 +163,71 @@ def test_user_and_directories_are_made_as_the_unit_wants_them(tree: Path) -> Non
     assert (state.st_uid, stat.S_IMODE(state.st_mode)) == (uid, 0o750)
 
 
+CONTAINER = """
+set -eu
+mount -t tmpfs tmpfs "$1"
+for place in etc opt usr/local var run; do
+  mkdir -p "$1/up/$place" "$1/work/$place"
+  mount -t overlay overlay "/$place" \
+    -o "lowerdir=/$place,upperdir=$1/up/$place,workdir=$1/work/$place"
+done
+rm -rf /run/systemd
+mkdir "$1/bin"  # programs of a system without systemd
+for program in /usr/sbin/* /usr/bin/* /bin/*; do
+  case ${program##*/} in
+    system* | udevadm) ;;
+    *) ln -sf "$program" "$1/bin/" ;;
+  esac
+done
+export PATH="$1/bin"
+"$2" "$3"
+echo "user: $(getent passwd dcam)"
+stat -c "state: %U %a" /var/lib/dcam
+ls /etc/dcam/dcam.toml /opt/dcam/venv/bin/dcamd
+"""
+"""Run by sh in a mount namespace of its own: DIRECTORY, deploy/install, BUILDER."""
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can make a mount namespace")
+def test_without_systemd_it_installs_and_says_what_is_left_to_do(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [
+            *("unshare", "--mount", "sh", "-c", CONTAINER, "sh"),
+            *(str(tmp_path), str(ROOT / "deploy/install"), sys.executable),
+        ],
+        env={**os.environ, "PYTHON": sys.executable, "SELF_TEST": "no", **OFFLINE},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    for said in (
+        "installed: dcamd and dcam-ctl in /usr/local/bin",
+        "Left to do by hand:",
+        "make /etc/dcam/dcam.toml your site's",
+        "runuser -u dcam -- env NUMBA_CACHE_DIR=/var/cache/dcam/numba dcamd",
+        "every five minutes: runuser -u dcam -- dcam-ctl alarm",
+        ":/var/lib/dcam:/usr/sbin/nologin",
+        "state: dcam 750",
+        "/opt/dcam/venv/bin/dcamd\n",
+    ):
+        assert said in done.stdout
+    assert "not installed" not in done.stderr
+
+
+def test_make_has_a_target_that_only_makes_the_environment() -> None:
+    made = subprocess.run(
+        ["make", "--dry-run", "--always-make", "venv"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    assert "--editable" in made
+    assert "pytest" not in made.replace(".pytest_cache", "")
+    assert "dcam-ctl demo" not in made
+
+
 @pytest.mark.skipif(not shutil.which("dpkg-deb"), reason="dpkg is not installed")
 def test_debian_package_holds_it_all(tmp_path: Path) -> None:
     done = deploy("make-deb", sys.executable, tmp_path)
