@@ -101,14 +101,17 @@ def _table(document: Any, name: str) -> Any:
     import tomlkit
 
     if name not in document:
-        document.append(tomlkit.nl())
-        document.append(name, tomlkit.table())
+        document.add(tomlkit.nl())
+        document.add(name, tomlkit.table())
     return document[name]
 
 
 def _target(directory: Path) -> Path:
     """Give the path of the config to write. Raises UsageError where something is there."""
     config = directory / CONFIG
+    if directory.exists() and not directory.is_dir():
+        msg = f"--output {directory}: a file is there; name another directory"
+        raise UsageError(msg)
     if config.exists() or config.is_symlink():
         msg = f"--output {directory}: holds a {CONFIG} already; name another directory"
         raise UsageError(msg)

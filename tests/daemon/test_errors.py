@@ -1,7 +1,13 @@
 """Every error becomes one line on stderr and the exit code that scripts rely on."""
 
 import errno
+import os
+import pwd
 import sqlite3
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
 
 import click
 import pytest
@@ -53,6 +59,50 @@ def test_error_is_one_line_and_its_code(error, code: int, text: str, capsys) -> 
     assert captured.out == ""
     (line,) = captured.err.strip().splitlines()
     assert line.startswith(f"dcam-test: error: {text}")
+
+
+def test_errors_about_files_say_what_to_do(tmp_path, capsys) -> None:
+    (tmp_path / "file").touch()
+    missing, below = tmp_path / "no" / "set", tmp_path / "file" / "x"
+    cures = {
+        missing: "No such file or directory; there is no directory",
+        tmp_path / "x": "No such file or directory; check its name",
+        tmp_path: "Is a directory; it is a directory: name a file",
+        below: f"Not a directory; {tmp_path / 'file'} is not a directory: name another path",
+    }
+    for path, text in cures.items():
+        with pytest.raises(OSError, match="Errno") as raised:
+            path.read_bytes()
+        assert run_raising(raised.value) == 4
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith(f"dcam-test: error: {path}: {text}")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can act as another user")
+def test_a_file_of_another_user_names_the_user_to_be(tmp_path) -> None:
+    """From outside: the command as a user who may not read the state of somebody else."""
+    folder = tmp_path / "state"
+    folder.mkdir(mode=0o700)
+    os.chown(folder, pwd.getpwnam("daemon").pw_uid, -1)
+    for place in (tmp_path, *tmp_path.parents):
+        if place.owner() == "root" and place != Path(tempfile.gettempdir()):
+            place.chmod(place.stat().st_mode | 0o055)
+        if place == Path(tempfile.gettempdir()):
+            break
+    code = (
+        "import os, sys; from daemon.file_errors import file_error_text\n"
+        "os.setgroups([]); os.setgid(65534); os.setuid(65534)\n"
+        "try: open(sys.argv[1])\nexcept OSError as error: print(file_error_text(error))"
+    )
+    said = subprocess.run(
+        [sys.executable, "-c", code, str(folder / "dcam.db")],
+        cwd=Path(__file__).parents[2],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    assert "Permission denied; nobody may not" in said
+    assert "belongs to daemon: run the command as that user (sudo -u daemon ...)" in said
 
 
 def test_every_problem_of_a_config_has_its_line(capsys) -> None:

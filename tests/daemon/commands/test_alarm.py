@@ -94,6 +94,13 @@ def configure(site: Site, alarm: str) -> None:
     site.config.write_text(f"{SIMULATED}\n[alarm]\n{alarm}\n")
 
 
+def test_a_test_without_anybody_to_tell_fails_and_says_what_to_set(site: Site) -> None:
+    ran = site.ctl("alarm", "--test")
+    assert ran.code == 3
+    assert f"{site.config}: [alarm] names nobody to tell; set its urls" in ran.err
+    assert site.ctl("alarm").code == 0  # the timer of a site that wants no alarm does not fail
+
+
 def look(site: Site, *words: object, late: timedelta = timedelta(0), running: bool = True) -> Ran:
     """One look after the newest row, beside a dcamd that runs, or none."""
     at = (site.end - MINUTE + late).isoformat()

@@ -45,6 +45,23 @@ def test_a_mistyped_command_line_is_exit_code_2_and_one_line(
     assert len(ran.err.splitlines()) == 1
 
 
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        (["stauts"], "status"),
+        (["gaps", "--sinse", "24h"], "--since"),
+        (["simulate", "haed"], "head"),
+    ],
+)
+def test_a_mistyped_name_is_answered_with_the_nearest(
+    ctl: Ctl, typed: list[str], meant: str
+) -> None:
+    ran = ctl(*typed)
+    assert ran.code == 2
+    assert "Did you mean" in ran.err
+    assert f"'{meant}'" in ran.err
+
+
 def test_a_time_that_is_none_says_how_to_write_one(ctl: Ctl) -> None:
     ran = ctl("gaps", "--since", "yesterday")
     assert ran.code == 2
@@ -141,6 +158,33 @@ def test_check_tells_what_is_and_what_to_do(ctl: Ctl, tmp_path: Path) -> None:
     assert "warning" in lines["database"]
     assert "enough for calibrate --from" in lines["cameras"]
     assert not (tmp_path / "state").exists()
+
+
+@pytest.mark.parametrize(
+    ("alarm", "code", "said"),
+    [
+        ("", 0, "warning  nobody is told when data stop: name urls or a command in [alarm]"),
+        ('urls = ["ntfy://ntfy.sh/secret"]', 0, "ok       tells urls[0] (ntfy) of what"),
+        (
+            'urls = ["ntfy://ntfy.sh/secret", "mailto:/oops-secret"]',
+            *(3, "error    alarm.urls[1] (mailto): Apprise cannot use it"),
+        ),
+        ('urls = ["secret"]', 3, "error    alarm.urls[0] (no scheme): Apprise cannot use it"),
+        ('command = ["no-such-secret"]', 3, "error    alarm.command[0]: no such program in PATH"),
+        ('command = ["/secret/sms"]', 3, "error    alarm.command[0]: there is no such program"),
+        ('command = ["/etc/passwd", "secret"]', 3, "alarm.command[0]: the program is not exec"),
+        ('command = ["/bin/true", "secret"]', 0, "ok       tells command of what is critical"),
+    ],
+)
+def test_check_says_who_is_told_and_never_repeats_a_secret(
+    ctl: Ctl, tmp_path: Path, alarm: str, code: int, said: str
+) -> None:
+    (tmp_path / "dcam.toml").write_text(f"{CONFIG}\n[alarm]\n{alarm}\n")
+    ran = ctl("--config", tmp_path / "dcam.toml", "--state", tmp_path / "state", "check")
+    assert ran.code == code
+    assert any(said in line for line in ran.out.splitlines() if line.startswith("alarm "))
+    assert "secret" not in ran.out + ran.err
+    assert "/etc/passwd" not in ran.out + ran.err
 
 
 def test_check_warns_when_the_drift_takes_the_target_out_of_the_image(
