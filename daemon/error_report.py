@@ -13,6 +13,7 @@ import click
 from core.errors import CoreError
 from daemon.errors import ConfigError, DcamError, ExitCode
 from daemon.file_errors import file_error_text
+from daemon.text import write_readably
 from drivers.errors import DriverError
 
 _FOREIGN_EXIT_CODES: tuple[tuple[type[BaseException], ExitCode], ...] = (
@@ -80,6 +81,7 @@ def run(command: click.Command, program: str, arguments: Sequence[str] | None = 
     A command ends with another code than 0 by raising, by returning an int, or by `ctx.exit`.
     """
     argv = list(sys.argv[1:] if arguments is None else arguments)
+    write_readably()
     try:
         result = command.main(args=argv, prog_name=program, standalone_mode=False)
     except BrokenPipeError:

@@ -1,10 +1,17 @@
-"""Times, spans, sizes, values and coverage as people read them."""
+"""Times, spans, sizes and values as people read them, and text where a locale knows few letters."""
 
 from __future__ import annotations
 
+import codecs
+import io
+import sys
+import unicodedata
 from datetime import UTC, datetime
 
 from core.results import Flag, Measurement
+
+_IN_ASCII = {"±": "+/-", "°": "deg"}
+_READABLE = "dcam.readable"
 
 
 def utc_text(when: datetime) -> str:
@@ -45,3 +52,32 @@ def bytes_text(count: float) -> str:
             return f"{count:.3g} {unit}"
         count /= 1000
     return f"{count:.3g} TB"
+
+
+def write_readably() -> None:
+    r"""Let stdout and stderr take any text: what the locale has no letter for is written in ASCII.
+
+    `±` becomes `+/-`, `é` becomes `e`, other signs their number (`\u6865`). Bytes of a file name
+    that are no text are written as they are.
+    """
+    codecs.register_error(_READABLE, _readable)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=_READABLE)
+
+
+def _readable(error: UnicodeError) -> tuple[str | bytes, int]:
+    """Replace what cannot be encoded, as `codecs.register_error` wants it."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    sign = error.object[error.start]
+    return _in_ascii(sign), error.start + 1
+
+
+def _in_ascii(sign: str) -> str | bytes:
+    if "\udc80" <= sign <= "\udcff":  # a byte of a file name, as `os.fsdecode` hides it
+        return bytes([ord(sign) - 0xDC00])
+    if sign in _IN_ASCII:
+        return _IN_ASCII[sign]
+    plain = unicodedata.normalize("NFKD", sign).encode("ascii", "ignore")
+    return (plain or sign.encode("ascii", "backslashreplace")).decode()

@@ -1,20 +1,31 @@
-"""How commands talk: data on stdout, diagnostics on stderr, drawn tables on a terminal only."""
+"""How commands talk: data on stdout, diagnostics on stderr, one shape on a terminal and a pipe."""
 
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import sys
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from daemon.store.json_fields import plain
 from daemon.store.records import GapRecord
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
+    from rich.progress import Progress, TaskID
 
 JSON_SCHEMA = 1
+LINE_PERIOD_S = 10.0
+"""How often a long work says on a pipe how far it has come."""
+_GAP = 2
+"""Spaces between two columns."""
+_NARROWEST = 12
+"""Columns of a terminal below which a text column is no longer worth reading."""
+_NO_LIMIT = 100_000
+"""Width of a pipe: a row is one line, whatever it holds."""
 
 
 def say(text: str = "") -> None:
@@ -24,13 +35,14 @@ def say(text: str = "") -> None:
 
 def note(text: str) -> None:
     """Print a diagnostic line on stderr."""
-    print(f"dcam-ctl: {text}", file=sys.stderr)
+    sys.stderr.write(f"dcam-ctl: {text}\n")  # at once: progress writes from a thread of its own
 
 
 def print_json(payload: Mapping[str, Any]) -> None:
     """Print one JSON object with its schema number; times in ISO 8601, never NaN."""
     document = plain({"schema": JSON_SCHEMA, **payload})
-    print(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+    escaped = "utf" not in sys.stdout.encoding.lower()  # a replacement would change the data
+    print(json.dumps(document, indent=2, ensure_ascii=escaped, allow_nan=False))
 
 
 def gap_fields(gap: GapRecord) -> dict[str, object]:
@@ -46,49 +58,133 @@ def gap_fields(gap: GapRecord) -> dict[str, object]:
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table: drawn on a terminal, else plain columns two spaces apart."""
-    if sys.stdout.isatty():
-        from rich.console import Console
-        from rich.table import Table
-        from rich.text import Text
+    """Print a table, columns two spaces apart; on a pipe a row is one line.
 
-        table = Table(*columns, header_style="bold")
-        for row in rows:
-            table.add_row(*(Text(cell) for cell in row))
-        Console().print(table)
-        return
-    lines = [columns, *rows]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(columns))]
-    for line in lines:
-        cells = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
-        print("  ".join(cells).rstrip())
+    On a terminal the widest column is wrapped at spaces; where that leaves it too little, each row
+    is a block of lines, `name  value`. Nothing is cut off.
+    """
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    on_terminal = sys.stdout.isatty()
+    size = shutil.get_terminal_size() if on_terminal else os.terminal_size((_NO_LIMIT, 1))
+    width = size.columns
+    forced = None if on_terminal else False
+    console = Console(width=width, height=size.lines, force_terminal=forced, highlight=False)
+    lines = [[" ".join(cell.splitlines()) for cell in line] for line in (columns, *rows)]
+    names, cells = lines[0], lines[1:]
+    widest = _widest_column(lines)
+    with console.capture() as captured:
+        if _fits(lines, widest, width):
+            table = Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
+            for at, name in enumerate(names):
+                table.add_column(Text(name), no_wrap=at != widest, overflow="fold")
+            for line in cells:
+                table.add_row(*map(Text, line))
+            console.print(table)
+        else:
+            for number, line in enumerate(cells):
+                block = Table.grid(padding=(0, _GAP, 0, 0), pad_edge=False)
+                block.add_column(style="bold", no_wrap=True)
+                block.add_column(overflow="fold")
+                for name, cell in zip(names, line, strict=True):
+                    block.add_row(Text(name), Text(cell))
+                if number:
+                    console.print()
+                console.print(block)
+    for drawn in captured.get().splitlines():
+        print(drawn.rstrip())
 
 
-class Steps:
-    """Tells how far a long work has come; the bar is seen on a terminal only."""
+def _widest_column(lines: Sequence[Sequence[str]]) -> int:
+    """Number of the column that is wrapped: the widest, of equal ones the last."""
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return max(range(len(widths)), key=lambda at: (widths[at], at))
 
-    def __init__(self, progress: Progress, total: int, what: str) -> None:
-        self._progress = progress
-        self._task = progress.add_task(what, total=total)
+
+def _fits(lines: Sequence[Sequence[str]], wrapped: int, width: int) -> bool:
+    """Whether the wrapped column keeps room for its longest word when the others are whole."""
+    from rich.cells import cell_len
+
+    columns = list(zip(*lines, strict=True))
+    whole = [max(map(cell_len, column)) for column in columns]
+    others = sum(whole) - whole[wrapped] + _GAP * (len(whole) - 1)
+    word = max(cell_len(word) for cell in columns[wrapped] for word in cell.split() or [""])
+    return width - others >= min(whole[wrapped], max(word, _NARROWEST))
+
+
+class Steps(Protocol):
+    """Takes note of how far a long work has come."""
 
     def next(self, what: str | None = None) -> None:
         """One step is done; `what` is being done now."""
-        if what is not None:
-            self._progress.update(self._task, description=what)
-        self._progress.advance(self._task)
 
     def begin(self, what: str) -> None:
         """Another piece of work begins, of a size that is not known yet."""
-        self._progress.reset(self._task, description=what)
 
-    def at(self, done: int, total: int) -> None:
-        """So many of so many are done: for work whose size shows on the way."""
-        self._progress.update(self._task, completed=done, total=total)
+    def at(self, done: int, total: int | None) -> None:
+        """So many of so many are done; None: of an unknown number."""
 
 
 @contextmanager
-def progress(total: int, what: str) -> Iterator[Steps]:
-    """Show a progress bar on stderr while the block runs, if stderr is a terminal."""
+def progress(total: int | None, what: str, *, each: bool = False) -> Iterator[Steps]:
+    """Tell on stderr how far the block has come: a bar on a terminal, else a line now and then.
+
+    Without a terminal a line is written every LINE_PERIOD_S, so that short work is silent; `each`
+    also writes one for each step that has a name.
+    """
+    if sys.stderr.isatty():
+        with _bar(total, what) as steps:
+            yield steps
+        return
+    lines = _Lines(total, what, each=each)
+    ended = threading.Event()
+
+    def tell_now_and_then() -> None:
+        while not ended.wait(LINE_PERIOD_S):
+            lines.tell()
+
+    teller = threading.Thread(target=tell_now_and_then, name="progress", daemon=True)
+    teller.start()
+    try:
+        yield lines
+    finally:
+        ended.set()
+        teller.join()
+
+
+class _Lines:
+    """How far a work has come, in lines of their own: for pipes, logs and cron."""
+
+    def __init__(self, total: int | None, what: str, *, each: bool) -> None:
+        self._work, self._step, self._each = what, "", each
+        self._done, self._total = 0, total
+
+    def next(self, what: str | None = None) -> None:
+        self._done += 1
+        if what is not None:
+            self._step = what
+            if self._each:
+                self.tell()
+
+    def begin(self, what: str) -> None:
+        self._work, self._step = what, ""
+        self._done, self._total = 0, None
+
+    def at(self, done: int, total: int | None) -> None:
+        self._done, self._total = done, total
+
+    def tell(self) -> None:
+        """Write a line."""
+        size = "" if self._total is None else f" of {self._total}"
+        step = f": {self._step}" if self._step else ""
+        note(f"{self._work}, {self._done}{size}{step}")
+
+
+@contextmanager
+def _bar(total: int | None, what: str) -> Iterator[Steps]:
+    """Draw a bar that is gone when the block ends."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -98,15 +194,29 @@ def progress(total: int, what: str) -> Iterator[Steps]:
         TimeRemainingColumn,
     )
 
-    console = Console(stderr=True)
-    bar = Progress(
+    columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
     )
-    with bar:
-        yield Steps(bar, total, what)
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        yield _Bar(bar, bar.add_task(what, total=total))
+
+
+class _Bar:
+    """A bar on a terminal."""
+
+    def __init__(self, bar: Progress, task: TaskID) -> None:
+        self._bar, self._task = bar, task
+
+    def next(self, what: str | None = None) -> None:
+        if what is not None:
+            self._bar.update(self._task, description=what)
+        self._bar.advance(self._task)
+
+    def begin(self, what: str) -> None:
+        self._bar.reset(self._task, description=what)
+
+    def at(self, done: int, total: int | None) -> None:
+        self._bar.update(self._task, completed=done, total=total)

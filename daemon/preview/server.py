@@ -53,7 +53,7 @@ class Shown:
         }
 
     def picture(self, name: str) -> bytes | None:
-        """A picture of the latest look."""
+        """A picture of the latest look, by its file name."""
         with self._lock:
             return None if self._look is None else self._look.pictures.get(name)
 
@@ -98,8 +98,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._give("text/html; charset=utf-8", _PAGE.read_bytes())
         elif path == "/look.json":
             self._give("application/json", json.dumps(self.shown.fields()).encode())
-        elif (picture := self.shown.picture(path[1:].removesuffix(".jpg"))) is not None:
-            self._give("image/jpeg", picture)
+        elif (picture := self.shown.picture(path[1:])) is not None:
+            self._give("image/png" if path.endswith(".png") else "image/jpeg", picture)
         else:
             self.send_error(HTTPStatus.NOT_FOUND)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
 
@@ -10,14 +9,15 @@ import cv2
 import numpy as np
 
 from core.arrays import FloatArray
+from core.discs.disc_finder import Discs
 from core.images import GreyImage
-from core.site import Site
+from core.site import CirclesTarget, Site
 from daemon.calibration.view_check import ViewCheck, see_pair
 from drivers.protocols import CapturedFrame, CapturedPair, Role
 
 SHOWN_WIDTH_PX = 960
 DETAIL_PX = 480
-"""Side of the part that is shown pixel for pixel, where focus can be judged by eye."""
+"""Side of the part whose pixels are shown as they are, where focus can be judged by eye."""
 BINS = 64
 _GREEN = (80, 200, 60)
 
@@ -55,7 +55,8 @@ class Snapshot:
     time_utc: datetime
     cameras: dict[Role, CameraLook]
     pictures: dict[str, bytes]
-    """JPEG by name: `main`, `sub`, and `main_detail`, `sub_detail` pixel for pixel."""
+    """By file name: `main.jpg`, `sub.jpg` small; `main_detail.png`, `sub_detail.png` pixel for
+    pixel around the middle of the target, or of the image while it is not found."""
 
     def fields(self) -> dict[str, object]:
         """Everything but the pictures, for JSON."""
@@ -68,17 +69,50 @@ class Snapshot:
 def take_snapshot(pair: CapturedPair, site: Site, time_utc: datetime) -> Snapshot:
     """Look for the targets in a pair and make everything that is shown of it."""
     check = see_pair(pair, site)
-    seen: dict[Role, tuple[CapturedFrame, FloatArray | None]] = {
-        "main": (pair.main, None if check.discs is None else _found_points(check)),
-        "sub": (pair.sub, None if check.board is None else check.board.view.points_px),
+    seen: dict[Role, _Seen] = {
+        "main": _seen_discs(pair.main, check.discs, site.main_target),
+        "sub": _seen_board(pair.sub, None if check.board is None else check.board.view.points_px),
     }
     pictures: dict[str, bytes] = {}
-    for role, (frame, points_px) in seen.items():
-        pictures[role], pictures[f"{role}_detail"] = _pictures(frame, points_px)
+    for role, of_camera in seen.items():
+        pictures[f"{role}.jpg"] = _overview(of_camera)
+        pictures[f"{role}_detail.png"] = _detail(of_camera)
     cameras: dict[Role, CameraLook] = {
-        role: _camera(role, frame, points_px, check) for role, (frame, points_px) in seen.items()
+        role: _camera(role, of_camera, check) for role, of_camera in seen.items()
     }
     return Snapshot(time_utc, cameras, pictures)
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """A frame and where its target is."""
+
+    frame: CapturedFrame
+    points_px: FloatArray
+    """(n, 2) what was found of it."""
+    middle_px: FloatArray | None
+    """(2,) of the target; None while it is not found."""
+
+
+def _seen_discs(frame: CapturedFrame, discs: Discs | None, target: CirclesTarget) -> _Seen:
+    """The middle is that of all discs, also where some are hidden: by an affine map."""
+    if discs is None:
+        return _Seen(frame, np.empty((0, 2)), None)
+    points_px, centres_mm = discs.points_px[discs.found], target.centres_mm
+    middle_mm = (centres_mm.min(axis=0) + centres_mm.max(axis=0)) / 2.0
+    places = np.column_stack([centres_mm[discs.found] - middle_mm, np.ones(len(points_px))])
+    return _Seen(frame, points_px, np.linalg.lstsq(places, points_px, rcond=None)[0][2])
+
+
+def _seen_board(frame: CapturedFrame, points_px: FloatArray | None) -> _Seen:
+    if points_px is None or not len(points_px):
+        return _Seen(frame, np.empty((0, 2)), None)
+    return _Seen(frame, points_px, (points_px.min(axis=0) + points_px.max(axis=0)) / 2.0)
+
+
+def _image_middle(frame: CapturedFrame) -> FloatArray:
+    """(2,) px; the origin is the centre of the top-left pixel."""
+    return (np.array(frame.pixels.shape[::-1], dtype=np.float64) - 1.0) / 2.0
 
 
 def focus_figure(image: GreyImage) -> float:
@@ -92,22 +126,15 @@ def focus_figure(image: GreyImage) -> float:
     return float(cv2.Laplacian(smooth, cv2.CV_32F).var()) / max(float(smooth.var()), 1.0)
 
 
-def _found_points(check: ViewCheck) -> FloatArray:
-    if check.discs is None:
-        return np.empty((0, 2))
-    return check.discs.points_px[check.discs.found]
-
-
-def _camera(
-    role: Role, frame: CapturedFrame, points_px: FloatArray | None, check: ViewCheck
-) -> CameraLook:
+def _camera(role: Role, seen: _Seen, check: ViewCheck) -> CameraLook:
+    frame = seen.frame
     image = GreyImage(frame.pixels, frame.bits)
     height_px, width_px = frame.pixels.shape
     counts, _ = np.histogram(frame.pixels, BINS, (0, image.saturation_dn + 1))
     off = None
-    if points_px is not None and len(points_px):
-        middle = (points_px.min(axis=0) + points_px.max(axis=0)) / 2.0
-        off = (float(middle[0] - width_px / 2.0), float(middle[1] - height_px / 2.0))
+    if seen.middle_px is not None:
+        x_px, y_px = (seen.middle_px - _image_middle(frame)).tolist()
+        off = (x_px, y_px)
     target = check.discs if role == "main" else check.board
     return CameraLook(
         width_px=width_px,
@@ -140,28 +167,36 @@ def _is_of(role: Role, problem: str) -> bool:
     return f"{role} target" in problem or f"{role} camera" in problem or f"{role}-camera" in problem
 
 
-def _pictures(frame: CapturedFrame, points_px: FloatArray | None) -> tuple[bytes, bytes]:
-    """The whole image, made smaller, with what was found marked, and a part of it as it is."""
-    grey = (frame.pixels >> max(frame.bits - 8, 0)).astype(np.uint8)
-    height_px, width_px = grey.shape
-    scale = min(SHOWN_WIDTH_PX / width_px, 1.0)
+def _grey(frame: CapturedFrame) -> np.ndarray:
+    """The frame as 8 bits a pixel."""
+    return (frame.pixels >> max(frame.bits - 8, 0)).astype(np.uint8)
+
+
+def _overview(seen: _Seen) -> bytes:
+    """The whole image as JPEG, made smaller, with what was found marked."""
+    grey = _grey(seen.frame)
+    scale = min(SHOWN_WIDTH_PX / grey.shape[1], 1.0)
     small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     shown = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR)
-    centre = np.array([width_px / 2.0, height_px / 2.0])
-    if points_px is not None and len(points_px):
-        for x, y in np.rint((points_px + 0.5) * scale).astype(int).tolist():
-            cv2.circle(shown, (x, y), 3, _GREEN, 1, cv2.LINE_AA)
-        centre = points_px[np.argmin(np.hypot(*(points_px - centre).T))]
-    return _jpeg(shown), _jpeg(_cut_out(grey, centre))
-
-
-def _cut_out(grey: np.ndarray, centre: Sequence[float] | FloatArray) -> np.ndarray:
-    half = DETAIL_PX // 2
-    x = int(np.clip(centre[0], min(half, grey.shape[1] // 2), max(grey.shape[1] - half, half)))
-    y = int(np.clip(centre[1], min(half, grey.shape[0] // 2), max(grey.shape[0] - half, half)))
-    return grey[max(y - half, 0) : y + half, max(x - half, 0) : x + half]
-
-
-def _jpeg(picture: np.ndarray) -> bytes:
-    _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])
+    for x, y in np.rint((seen.points_px + 0.5) * scale).astype(int).tolist():
+        cv2.circle(shown, (x, y), 3, _GREEN, 1, cv2.LINE_AA)
+    _, data = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, 85])
     return data.tobytes()
+
+
+def _detail(seen: _Seen) -> bytes:
+    """The frame's own pixels around the target's middle as PNG, which loses nothing."""
+    grey = _grey(seen.frame)
+    middle_px = _image_middle(seen.frame) if seen.middle_px is None else seen.middle_px
+    x, y = (
+        slice(first := _first_px(float(middle), size), first + DETAIL_PX)
+        for middle, size in zip(middle_px, grey.shape[::-1], strict=True)
+    )
+    _, data = cv2.imencode(".png", grey[y, x])
+    return data.tobytes()
+
+
+def _first_px(middle_px: float, size_px: int) -> int:
+    """Where the cut-out begins: it stays in the image, and is all of a smaller one."""
+    first = round(middle_px - (DETAIL_PX - 1) / 2.0)
+    return max(min(first, size_px - DETAIL_PX), 0)

@@ -52,8 +52,8 @@ def test_preview_shows_both_cameras_and_ends_with_ctrl_c(preview) -> None:
     assert main["problems"] == []
     assert sum(sub["histogram"]) == 640 * 400
     assert max(abs(shift) for shift in main["off_centre_px"]) < 100
-    for name in ("main", "sub", "main_detail", "sub_detail"):
-        picture = cv2.imdecode(np.frombuffer(fetch(f"{address}{name}.jpg"), np.uint8), 0)
+    for name in ("main.jpg", "sub.jpg", "main_detail.png", "sub_detail.png"):
+        picture = cv2.imdecode(np.frombuffer(fetch(address + name), np.uint8), 0)
         assert picture.shape == ((400, 640) if "detail" not in name else (400, 480))
     process.send_signal(signal.SIGINT)
     assert process.wait(30) == 0
