@@ -62,12 +62,14 @@ def calibrate(
     method: Method = Method.RIGID,
     *,
     skew: bool = False,
+    unreadable: Sequence[str] = (),
 ) -> tuple[Calibration, CalibrationReport]:
     """Calibrate a site from its views: lens views, one reference, rig positions.
 
     `rigid` adjusts lens, board, poses and rig jointly with the survey as prior; `paper` fits
     the lens alone to the nominal board, then the nine parameters of Eq. 18. `skew` lets the
-    lens's gamma of Eq. 10 vary. Views that cannot be used are named in the report.
+    lens's gamma of Eq. 10 vary. Views that cannot be used are named in the report, and so are
+    those that could not be read before: `unreadable` has the reason of each.
     Raises CalibrationError, and NotObservableError if the motions determine too little.
     """
     options = FitOptions(site, Board.nominal(site.sub_target), method, skew)
@@ -89,6 +91,7 @@ def calibrate(
         choice,
         [*rejected, *outliers, *bad, *moved],
         held_out_errors_mm(fit, options),
+        unreadable,
     )
     return Calibration(method, calibrated), report
 

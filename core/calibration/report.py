@@ -46,12 +46,18 @@ def write_report(
     choice: LensChoice,
     rejected: Sequence[RejectedView],
     held_out: FloatArray,
+    unreadable: Sequence[str] = (),
 ) -> CalibrationReport:
-    """Judge a calibration. held_out (n, 2) are the errors in mm at held-out positions."""
+    """Judge a calibration. held_out (n, 2) are the errors in mm at held-out positions.
+
+    unreadable has the reason of each view that could not be read.
+    """
     drift = drift_errors(calibrated, options.site)
     problems = _problems(fit, calibrated, options, drift, held_out)
     figures = _figures(fit, calibrated, options, drift, held_out)
     figures["rejected"] = [{"view": name, "reason": reason} for name, reason in rejected]
+    if unreadable:
+        figures["left_out"] = list(unreadable)
     figures["problems"] = problems
     figures["lens_held_out_px"] = {m.value: px for m, px in choice.held_out_px.items()}
     views = fit.views
@@ -60,8 +66,10 @@ def write_report(
         (
             f"views used: {len(views.lens)} lens, 1 reference, {len(views.rig)} rig; "
             f"rejected: {len(rejected)}"
+            + (f", could not be read: {len(unreadable)}" if unreadable else "")
         ),
         *(f"rejected {name}: {reason}" for name, reason in rejected),
+        *(f"could not be read: {reason}" for reason in unreadable),
         (
             f"corners fit to {figures['sub_rms_px']:.4f} px rms, main discs to "
             f"{figures['main_rms_px']:.4f} px rms"

@@ -60,20 +60,23 @@ def write_report_files(
     return directory / PAGE
 
 
-def _pictures(figures: dict[str, Any]) -> list[tuple[str, str]]:
-    """The figures as SVG with their captions; none where matplotlib is not installed."""
+def _pictures(figures: dict[str, Any]) -> list[tuple[list[str], str]]:
+    """The figures with their captions; none where matplotlib is not installed.
+
+    Each panel is an SVG of its own: on a phone they stand below one another, with text that can be
+    read.
+    """
     if importlib.util.find_spec("matplotlib") is None:
         return []
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    _draw_positions(left, figures["rig_views"])
-    _draw_left_over(right, figures["rig_views"], figures["held_out_mm"])
+    turned, left_over = (Figure(figsize=(4.5, 3.6), layout="constrained") for _ in range(2))
+    _draw_positions(turned.subplots(), figures["rig_views"])
+    _draw_left_over(left_over.subplots(), figures["rig_views"], figures["held_out_mm"])
     cells = Figure(figsize=(4.5, 3.0), layout="constrained")
     _draw_cells(cells.subplots(), figures["image_cells"])
     positions = (
-        "Left: how the rig was turned at each position. Right: what is left of the false "
+        "First: how the rig was turned at each position. Second: what is left of the false "
         "displacement there, and at positions held out of a second fit (orange). Points "
         "scattered about zero are noise; points that lie in a line or an arc are a motion "
         "of the target or a rig that is not rigid."
@@ -82,7 +85,7 @@ def _pictures(figures: dict[str, Any]) -> list[tuple[str, str]]:
         "Corners of the lens views in each part of the sub image. Where there are none the "
         "lens's distortion is guessed."
     )
-    return [(_svg(figure), positions), (_svg(cells), covered)]
+    return [([_svg(turned), _svg(left_over)], positions), ([_svg(cells)], covered)]
 
 
 def _svg(figure: Figure) -> str:

@@ -84,14 +84,8 @@ def calibrate_frames(
                 raise
             left_out.append(str(error))
         on_step(f"read {format_slot(row.slot_utc)}")
-    calibration, report = calibrate(views, site, method, skew=skew)
+    calibration, report = calibrate(views, site, method, skew=skew, unreadable=left_out)
     on_step("calibrated")
-    if left_out:
-        report = CalibrationReport(
-            passed=report.passed,
-            lines=(*report.lines, *(f"Left out: {reason}." for reason in left_out)),
-            figures={**report.figures, "left_out": left_out},
-        )
     rows = {_view_name(row): row for row in frames.rows}
     rejected = tuple(rows[entry["view"]] for entry in report.figures["rejected"])
     return CalibrationRun(frames.directory, calibration, report, tuple(left_out), rejected)

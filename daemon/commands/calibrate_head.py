@@ -67,7 +67,7 @@ def calibrate_with_head(
             require_lens_views(devices, lens)
         kept = "the views are kept, the same command continues from there"
         total = _views_to_take(devices, lens, begun)
-        with explained_when_interrupted(kept), progress(total, "taking views") as steps:
+        with explained_when_interrupted(kept), progress(total, "taking views", each=True) as steps:
             session = take_views(
                 devices, state, config.config_hash(), lens, begun, steps.next, _warn
             )
@@ -101,7 +101,7 @@ def _take_rejected_again(
 ) -> None:
     rejected = run.rejected_positions
     note(f"{len(rejected)} positions do not fit the others; they are taken again")
-    with progress(len(rejected), "taking views again") as steps:
+    with progress(len(rejected), "taking views again", each=True) as steps:
         take_again(devices, session, rejected, steps.next, _warn)
 
 

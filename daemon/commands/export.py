@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import nullcontext
 from datetime import datetime
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from daemon.commands.options import (
     pass_options,
     span_options,
 )
-from daemon.commands.output import note
+from daemon.commands.output import Steps, note, progress
 from daemon.errors import UsageError
 from daemon.reports.table import opened_output, replacing, write_records
 from daemon.store.database import ALWAYS, NEVER, open_store_readonly
@@ -49,8 +50,10 @@ def command(
     flag: 1 good, 3 suspect (value given, reason named), 4 bad (value withheld), 9 missing.
     The daemon may run meanwhile.
     """
-    with open_store_readonly(options.state) as store:
-        records = store.measurements(since or ALWAYS, until or NEVER)
+    # A table on stdout is seen to go on; a bar would be in its way.
+    telling = nullcontext(None) if output is None else progress(None, "exporting rows")
+    with open_store_readonly(options.state) as store, telling as steps:
+        records = _counted(store.measurements(since or ALWAYS, until or NEVER), steps)
         if file_format == "csv":
             with opened_output(output) as table:
                 count = write_records(records, table)
@@ -58,6 +61,16 @@ def command(
             count = _write_file(file_format, records, output, options)
     if output is not None:
         note(f"{count} rows written to {output}")
+
+
+def _counted(
+    records: Iterable[MeasurementRecord], steps: Steps | None
+) -> Iterator[MeasurementRecord]:
+    """The records, and word of how many there were so far."""
+    for number, record in enumerate(records):
+        if steps is not None and number % 1000 == 0:
+            steps.at(number, None)
+        yield record
 
 
 def _write_file(

@@ -10,6 +10,7 @@ import click
 
 from daemon.commands.options import Options, at_option, common_options, output_option, pass_options
 from daemon.durable import write_durable
+from daemon.errors import UsageError
 from daemon.reports.metrics import metrics_text, no_metrics_text
 from daemon.status.facts import collect_facts
 from daemon.status.verdict import judge, no_verdict
@@ -29,6 +30,9 @@ def command(options: Options, at_utc: datetime | None, output: Path | None) -> N
     FILE is replaced whole, as node_exporter's textfile collector wants it; its name must end in
     .prom. Where the site cannot be looked at only the level is written, and the exit code tells.
     """
+    if output is not None and output.suffix != ".prom":
+        msg = f"--output {output}: node_exporter reads no such file; its name must end in .prom"
+        raise UsageError(msg)
     try:
         facts = collect_facts(options.config, options.state, at_utc or datetime.now(UTC))
         text = metrics_text(facts, judge(facts))
@@ -42,7 +46,8 @@ def command(options: Options, at_utc: datetime | None, output: Path | None) -> N
 def _write(output: Path | None, text: bytes) -> None:
     """Replace the file whole. Raises OSError, which names what stands in the way."""
     if output is None:
-        sys.stdout.write(text.decode())
+        sys.stdout.flush()
+        sys.stdout.buffer.write(text)  # UTF-8 by the format's rules, whatever the locale
         return
     try:
         write_durable(output, text)

@@ -200,7 +200,9 @@ def _bar(total: int | None, what: str) -> Iterator[Steps]:
         MofNCompleteColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    # Data on stdout stay there: rich would lead them to the bar's own stream.
+    with Progress(*columns, console=console, transient=True, redirect_stdout=False) as bar:
         yield _Bar(bar, bar.add_task(what, total=total))
 
 

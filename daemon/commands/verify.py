@@ -66,9 +66,22 @@ def command(options: Options, since: datetime | None, *, as_json: bool) -> int:
     else:
         for finding in findings:
             say(f"{finding.what}: {finding.where}: {finding.text}; {finding.todo}")
-        verdict = f"{len(findings)} finding(s)" if findings else "all well"
-        say(f"{verdict}: {counted.rows} rows, {counted.slots} slots, {counted.images} images read")
+        say(f"{len(findings)} finding(s)" if findings else "all well")
+        for line in _what_was_looked_at(counted):
+            say(line)
     return ExitCode.FAILED if findings else ExitCode.DONE
+
+
+def _what_was_looked_at(counted: Counted) -> Iterator[str]:
+    """Say what the numbers count."""
+    yield (
+        f"{counted.rows} rows of the database read: measurements, gaps, calibrations, events and "
+        "all else it keeps"
+    )
+    yield f"{counted.slots} slots of the schedule looked for: each must have one row or one gap"
+    yield f"{counted.images} images read and compared with their checksums"
+    if counted.slots_with_frames_removed:
+        yield f"{counted.slots_with_frames_removed} slots without images, removed to make room"
 
 
 def _findings(

@@ -62,6 +62,10 @@ def test_damaged_lens_and_rig_views_are_left_out_and_named(
     assert result["active"]
     assert result["calibration"] == 1
     assert len(result["left_out"]) == 4
+    assert (
+        "views used: 7 lens, 1 reference, 9 rig; rejected: 0, could not be read: 4"
+        in (result["lines"])
+    )
     said = "\n".join(result["lines"])
     for path, reason in (
         (truncated, "truncated"),
@@ -257,7 +261,7 @@ def test_pan_tilt_takes_views_keeps_them_and_calibrates_on_them(ctl: Ctl, tmp_pa
     report = json.loads((frames.directory / "report.json").read_text())
     assert report["lines"] == result["lines"]
     assert (frames.directory / "report.txt").read_text().splitlines() == result["lines"]
-    assert page.count("<svg") == 2
+    assert page.count("<svg") == 3
     assert "http-equiv" not in page
     assert "src=" not in page  # the page stands alone
     for row in frames.rows_of("rig"):

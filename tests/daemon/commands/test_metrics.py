@@ -167,3 +167,11 @@ def test_metrics_load_no_numerics_and_no_orm(site: Site) -> None:
     )
     assert ran.returncode == 0, ran.stderr
     assert {"scipy", "cv2", "numba", "sqlalchemy", "alembic"}.isdisjoint(ran.stderr.split())
+
+
+def test_a_file_that_node_exporter_would_not_read_is_refused(site: Site, tmp_path: Path) -> None:
+    """Its textfile collector takes `*.prom` only: the figures would be missed in silence."""
+    ran = site.ctl("metrics", "--output", tmp_path / "m.txt")
+    assert (ran.code, ran.out) == (2, "")
+    assert "must end in .prom" in ran.err
+    assert not (tmp_path / "m.txt").exists()
