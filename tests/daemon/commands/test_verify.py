@@ -169,9 +169,11 @@ def test_what_is_wrong_is_found_and_named(
     found = [item for item in told["findings"] if item["what"] == what]
     assert [item["where"].endswith(where) and text in item["text"] for item in found] == [True]
     assert all(item["todo"] for item in told["findings"])
-    lines = site.verify().out.splitlines()
-    assert len(lines) == len(told["findings"]) + 4
-    assert lines[-1].startswith(f"{len(told['findings'])} finding(s): ")
+    lines = site.verify().out.splitlines(keepends=True)
+    number = len(told["findings"])
+    verdict, *counts = counts_of("".join(lines[number:]))
+    assert verdict == f"{number} finding(s)"
+    assert counts[:3] == [told["rows"], told["slots"], told["images"]]
 
 
 def test_a_slot_in_a_row_and_a_gap_is_found(site: Site) -> None:
