@@ -13,6 +13,9 @@ import numpy as np
 from core.images import GreyImage
 from drivers.protocols import Image
 
+MOST_PIXELS = 200_000_000
+"""Not decoded beyond that: the largest sensors (Sony IMX411, 2018) have 151 million pixels."""
+
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _KINDS = {0: "greyscale", 2: "colour", 3: "palette", 4: "greyscale with alpha", 6: "colour"}
 
@@ -46,6 +49,10 @@ def _verify_png(data: bytes) -> tuple[int, int | None]:
     for name, body in _chunks(data):
         if name == b"IHDR" and len(body) == 13:
             depth, kind = body[8], body[9]
+            width, height = struct.unpack_from(">2I", body)
+            if width * height > MOST_PIXELS:
+                msg = f"{width}x{height} px, larger than any camera's image: take the file away"
+                raise ValueError(msg)
             if kind != 0:
                 msg = f"a {_KINDS.get(kind, 'strange')} image; store it as 8- or 16-bit greyscale"
                 raise ValueError(msg)

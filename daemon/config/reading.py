@@ -1,4 +1,4 @@
-"""The config file `dcam.toml`: found, read and checked; what it may hold is in `config_model`."""
+"""The config file `dcam.toml`: found, read and checked; what it may hold is in `model`."""
 
 from __future__ import annotations
 
@@ -29,6 +29,8 @@ __all__ = [
 ]
 
 DEFAULT_CONFIG_PATH = Path("/etc/dcam/dcam.toml")
+MOST_BYTES = 1_000_000
+"""A hundred times the longest config with all its comments."""
 
 
 def load_config(path: Path) -> Config:
@@ -47,8 +49,12 @@ def load_config(path: Path) -> Config:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        # Some editors begin a UTF-8 file with a byte order mark.
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        with path.open("rb") as file:
+            content = file.read(MOST_BYTES + 1)
+        if len(content) <= MOST_BYTES:
+            # Some editors begin a UTF-8 file with a byte order mark.
+            return tomllib.loads(content.decode("utf-8-sig"))
+        msg = f"{path}: more than {MOST_BYTES // 1000} kB: this is no config of a site"
     except FileNotFoundError:
         msg = f"{path}: no such file; name one with --config FILE or DCAM_CONFIG"
     except OSError as error:
@@ -57,6 +63,8 @@ def _read_toml(path: Path) -> dict[str, Any]:
         msg = f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8"
     except tomllib.TOMLDecodeError as error:
         msg = f"{path}: not valid TOML: {error}"
+    except RecursionError:
+        msg = f"{path}: not valid here: tables or lists within one another, hundreds deep"
     raise ConfigError(msg)
 
 

@@ -20,10 +20,14 @@ from daemon.slots.reporting import Reporter
 from daemon.slots.supervision import INTERNAL, Circuit
 from daemon.slots.time_correction import Redated, put_right, split_at, undated_archive
 from daemon.store.records import GapCause, Mark, MeasurementRecord
+from daemon.text import span_text
 from daemon.times import slot_text
 from drivers.protocols import FramePairSource
 
 _log = structlog.get_logger("dcam.daemon")
+
+FIRST_IMPOSSIBLE_YEAR = 2100
+"""A clock that says so is wrong, like one before the last slot: pairs wait for their true slots."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +74,8 @@ class SlotRunner:
         """What pairs pass through while the clock is before the last slot."""
         self._begun_s = -float(schedule.period_s)
         """Monotonic time at which the last slot began."""
+        self._ended_utc: datetime | None = None
+        """When the work of the last slot had ended."""
         self._last_undated: datetime | None = None
         """The last slot of the wrong clock, since it was stepped."""
         self._was_right: bool | None = None
@@ -98,6 +104,7 @@ class SlotRunner:
             else:
                 self._run(slot)
             self._tend_disk(slot)
+            self._ended_utc = self._context.clock.now_utc()
             done += 1
         self._settle_debts()
         self._require_sound()
@@ -123,8 +130,19 @@ class SlotRunner:
             if self._clock_trouble:
                 self._owe_to_clock(missed)
             else:
-                self._owe(missed, GapCause.OVERRUN, "the slot before took too long")
+                self._owe(missed, GapCause.OVERRUN, self._why_overrun(missed, now_utc))
         return slot
+
+    def _why_overrun(self, missed: MissedSlots, now_utc: datetime) -> str:
+        """The slot before, or a process that got no time: stopped, or on an overloaded computer."""
+        ended_utc = self._ended_utc
+        if ended_utc is None or self._schedule.is_too_late(missed.first_utc, ended_utc):
+            return "the slot before took too long"
+        held_s = (now_utc - max(ended_utc, missed.first_utc)).total_seconds()
+        return (
+            f"dcamd was held up for {span_text(held_s)}: it was stopped, or the computer was "
+            "overloaded"
+        )
 
     def _tend_disk(self, slot: datetime) -> None:
         """Make room between slots, as long as that delays none."""
@@ -252,6 +270,8 @@ class SlotRunner:
         return self._context.clock.now_utc(), self._context.clock.monotonic_s()
 
     def _is_behind(self, now_utc: datetime) -> bool:
+        if now_utc.year >= FIRST_IMPOSSIBLE_YEAR:
+            return True  # no record begins there, and the calendar ends soon after
         return self._last is not None and self._schedule.is_behind(now_utc, self._last)
 
     def _watch_clock(self) -> None:

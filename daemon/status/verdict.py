@@ -96,6 +96,10 @@ def _good_value(facts: Facts) -> Item:
     if facts.last_good_utc is None:
         return Item(name, Level.CRITICAL, "none in 30 days; see export for the reasons")
     age_s = (facts.now_utc - facts.last_good_utc).total_seconds()
+    if age_s < 0:
+        when = utc_text(facts.last_good_utc)
+        text = f"{span_text(age_s)} in the future ({when}): is the clock wrong?"
+        return Item(name, Level.CRITICAL, text)
     return Item(name, _by_age(age_s, STALE_GOOD_S, LOST_GOOD_S), f"{span_text(age_s)} ago")
 
 

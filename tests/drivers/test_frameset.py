@@ -274,3 +274,13 @@ def test_missing_image_is_told_from_a_damaged_one(tmp_path: Path) -> None:
     with pytest.raises(FrameSetError, match="cannot be read") as caught:
         read_image(tmp_path)
     assert not isinstance(caught.value, ImageMissingError)
+
+
+def test_an_image_larger_than_any_camera_s_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
+    """Its file is small; its pixels would take gigabytes."""
+    data = bytearray(encode_png(np.zeros((30, 40), dtype=np.uint8)))
+    data[16:24] = struct.pack(">2I", 30_000, 30_000)
+    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    (tmp_path / "a.png").write_bytes(data)
+    with pytest.raises(FrameSetError, match=r"a\.png: 30000x30000 px, larger than any camera's"):
+        read_image(tmp_path / "a.png")

@@ -8,6 +8,7 @@ goes with the next removal of that day. Lines are struck by what is there, so it
 from __future__ import annotations
 
 import contextlib
+import errno
 import re
 from collections import defaultdict
 from collections.abc import Collection
@@ -36,8 +37,12 @@ class DayFiles:
 
 
 def files_of_day(directory: Path) -> DayFiles:
-    """List a day's images. Raises OSError."""
-    year, month, day = (int(part) for part in directory.parts[-3:])
+    """List a day's images. Raises OSError, also for a day that a link leads out of the archive."""
+    archive, parts = directory.parents[2], directory.parts[-3:]
+    if directory.resolve() != archive.resolve().joinpath(*parts):
+        what = "leads out of the archive: its frames are not touched"
+        raise OSError(errno.ELOOP, what, str(directory))
+    year, month, day = (int(part) for part in parts)
     found: dict[datetime, list[str]] = defaultdict(list)
     for path in directory.iterdir():
         match = _IMAGE.fullmatch(path.name)

@@ -25,7 +25,6 @@ from daemon.store.revisions import require_known
 from daemon.store.salvage.sqlite_pages import PageFile, RawRow
 from daemon.store.schema import Base
 from daemon.store.sqlite import connect, connect_readonly, is_database_file, said_plainly
-from drivers.frameset import TABLE
 
 _log = structlog.get_logger("dcam.daemon")
 
@@ -99,7 +98,7 @@ def traces_of_a_lost_database(path: Path) -> str:
     log = path.with_name(path.name + "-wal")
     traces = {
         "its log": log.exists() and log.stat().st_size > 0,
-        "its frames": any((directory / FOLDER).glob(f"*/*/*/{TABLE}")),
+        "its frames": (directory / FOLDER).exists(),
         "its calibrations": any(directory.glob("calibrations/*/report.json")),
     }
     return " and ".join(name for name, is_there in traces.items() if is_there)

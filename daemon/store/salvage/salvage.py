@@ -229,7 +229,8 @@ def _account(session: Session, carried: Carried, note: Note) -> str:
     rows = session.scalar(select(func.count()).select_from(MeasurementRow)) or 0
     lost = (session.scalar(select(func.max(MeasurementRow.id))) or 0) - rows
     kept = f"{rows} rows, {carried.rows['gap']} gaps, {carried.rows['calibration']} calibrations"
-    parts = [f"{note.why}; set aside as {note.aside}; kept {kept}; lost at least {lost} rows"]
+    loss = f"lost at least {lost} rows" if lost else "no row before the last one kept is missing"
+    parts = [f"{note.why}; set aside as {note.aside}; kept {kept}; {loss}"]
     if carried.rejected:
         parts.append(f"{carried.rejected} entries were not what was written")
     if carried.unreadable_pages:

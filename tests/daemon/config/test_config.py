@@ -380,3 +380,19 @@ def test_a_url_with_a_password_in_another_place_is_quoted_without_it(write) -> N
     with pytest.raises(ConfigError, match=r"site\.name: must be a text") as error:
         load_config(path)
     assert "hunter2" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a = " + "[" * 5000 + "]" * 5000, "not valid"),
+        ("# " + "x" * 2_000_000, "more than 1000 kB"),
+    ],
+)
+def test_a_file_that_is_no_config_is_refused_in_a_line(
+    tmp_path: Path, text: str, words: str
+) -> None:
+    path = tmp_path / "dcam.toml"
+    path.write_text(text)
+    (problem,) = problems_of(path)
+    assert words in problem

@@ -15,6 +15,7 @@ from daemon.retention import retention as retention_module
 from daemon.retention.retention import Retention
 from daemon.retention.rules import Rules, chosen
 from daemon.store.frames import removal as frame_removal
+from daemon.store.frames.removal import files_of_day
 from daemon.store.records import Thinning
 from drivers.errors import DeviceLostError
 from drivers.frameset import read_frame_set
@@ -343,3 +344,23 @@ def test_a_day_that_cannot_be_removed_stops_no_other(state: Path) -> None:
         assert [call.args for call in told.error.call_args_list] == [("day_not_thinned",)]
         work_off(retention(station, SHRINKING), station)
         assert kept(station) == {2: 1, 3: 24, 4: A_DAY}
+
+
+def test_a_link_that_leads_out_of_the_archive_is_not_followed(tmp_path: Path) -> None:
+    """A day that somebody moved elsewhere, with a link in its place, is his to keep."""
+    day = tmp_path / "state/frames/2026/03/01"
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "000000_main.png").write_bytes(b"1")
+    day.parent.mkdir(parents=True)
+    day.symlink_to(elsewhere)
+    with pytest.raises(OSError, match="leads out of the archive"):
+        files_of_day(day)
+
+
+def test_an_archive_that_is_a_link_itself_is_the_archive(tmp_path: Path) -> None:
+    """Frames on a larger disk: a common and a good arrangement."""
+    (tmp_path / "disk/2026/03/01").mkdir(parents=True)
+    (tmp_path / "disk/2026/03/01/000000_main.png").write_bytes(b"1")
+    (tmp_path / "frames").symlink_to(tmp_path / "disk")
+    assert len(files_of_day(tmp_path / "frames/2026/03/01").images) == 1

@@ -1,5 +1,7 @@
 """Every slot ends as a row or in a gap with its cause, whatever camera, clock and disk do."""
 
+from datetime import UTC, datetime
+
 import pytest
 
 from core.results import Flag, Reason
@@ -202,3 +204,39 @@ def test_told_to_stop_it_takes_no_further_slot(station) -> None:
     station.source.orders = {1: station.stop.set}
     assert runner.run() == 2
     assert station.minutes() == [0, 1]
+
+
+def test_a_process_that_was_held_up_does_not_blame_the_slot_before(station) -> None:
+    """SIGSTOP, or a computer that gives it no time, while it waits for a slot."""
+    runner = station.start()
+    wait_until = station.clock.wait_until
+
+    def held(when_utc: datetime, *arguments: object) -> bool:
+        if len(station.source.captures) == 2:
+            station.clock.advance((when_utc - station.clock.now_utc()).total_seconds() + 150.0)
+            station.clock.wait_until = wait_until
+            return True
+        return wait_until(when_utc, *arguments)
+
+    station.clock.wait_until = held
+    assert runner.run(4) == 4
+
+    assert station.minutes() == [0, 1, 5, 6]
+    assert station.gaps() == [(2, 4, "overrun")]
+    assert station.store.gaps()[0].detail == (
+        "dcamd was held up for 2 min 30 s: it was stopped, or the computer was overloaded"
+    )
+
+
+def test_a_slot_that_took_too_long_is_blamed(station) -> None:
+    station.run(3, {1: lambda: station.clock.advance(150.0)})
+    assert station.gaps() == [(2, 3, "overrun")]
+    assert station.store.gaps()[0].detail == "the slot before took too long"
+
+
+def test_a_clock_at_the_end_of_the_calendar_neither_ends_dcamd_nor_dates_a_row(station) -> None:
+    station.run(2)
+    station.clock.set_utc(datetime(9999, 12, 30, 23, 59, 30, tzinfo=UTC))
+    station.run(3)
+    assert station.minutes() == [0, 1]
+    assert len(station.store.undated()) == 3
