@@ -11,6 +11,10 @@ class TargetNotFoundError(CoreError):
     """A target is not in the image, or too little of it to be sure which part it is."""
 
 
+class NotRecognisedError(TargetNotFoundError):
+    """A target is in the image, but not as the config describes it; the message names the cure."""
+
+
 class CalibrationError(CoreError):
     """The views given cannot make a calibration; the message names the view or what is missing."""
 

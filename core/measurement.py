@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from core.calibration.calibrate import Calibration
-from core.checkerboard.corners import LocatedBoard, locate_board
+from core.checkerboard.board import Board
+from core.checkerboard.corners import LocatedBoard, detect_board, locate_board
 from core.checkerboard.resection import BoardPose, resect
 from core.discs.disc_finder import Discs, find_discs
 from core.errors import ImageError, ImageSizeError, TargetNotFoundError
@@ -20,10 +22,10 @@ from core.quality.verdicts import (
     overexposed,
     too_dark,
 )
-from core.results import Diagnostics, Displacement, Measurement, Reason
+from core.results import Diagnostics, Displacement, Flag, Measurement, Reason
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.compensation import CommonShift, corrected_displacement, raw_displacement, rig_motion
-from core.site import Site
+from core.site import CameraGeometry, Site
 
 
 def measure_pair(
@@ -72,6 +74,39 @@ def measure_pair(
     )
 
 
+def look_at_pair(main: GreyImage | None, sub: GreyImage | None, site: Site) -> Measurement:
+    """Say what a pair shows of both targets by the config alone, while there is no calibration.
+
+    The measurement has no value, its diagnostics say what was found. Never raises for what an
+    image shows; None means there is no image.
+    """
+    discs, board = None, None
+    reasons = [Reason.NO_CALIBRATION]
+    image, why = _usable(main, site.main, "main")
+    reasons += why
+    if image is not None:
+        try:
+            discs = find_discs(image, site.main_target, site.nominal_px_per_mm)
+        except TargetNotFoundError:
+            reasons += _not_found(image, Reason.MAIN_TARGET_NOT_FOUND)
+    image, why = _usable(sub, site.sub, "sub")
+    reasons += why
+    if image is not None:
+        try:
+            board = detect_board(image, Board.nominal(site.sub_target))
+        except TargetNotFoundError:
+            reasons += _not_found(image, Reason.SUB_TARGET_NOT_FOUND)
+    seen = Diagnostics(
+        discs_found=0 if discs is None else int(discs.found.sum()),
+        corners_used=0 if board is None else len(board.view.index),
+        main_contrast_dn=None if discs is None else discs.contrast_dn,
+        sub_contrast_dn=None if board is None else board.contrast_dn,
+        main_blur_px=None if discs is None else discs.blur_px,
+        sub_blur_px=None if board is None else board.blur_px,
+    )
+    return Measurement(Flag.BAD, tuple(dict.fromkeys(reasons)), None, None, None, seen)
+
+
 @dataclass(frozen=True, slots=True)
 class _MainSeen:
     discs: Discs
@@ -85,41 +120,47 @@ class _SubSeen:
     pose: BoardPose
 
 
+def _usable(
+    image: GreyImage | None, camera: CameraGeometry, role: Literal["main", "sub"]
+) -> tuple[GreyImage | None, list[Reason]]:
+    """Give an image that can be searched, else None, and what is to be said of it already."""
+    if image is None:
+        return None, [Reason(f"{role}_image_missing")]
+    try:
+        require_size(image, camera, f"{role} image")
+    except ImageSizeError:
+        return None, [Reason(f"{role}_image_wrong_size")]
+    except ImageError:
+        return None, [Reason(f"{role}_image_unreadable")]
+    return image, [Reason.OVEREXPOSED] if overexposed(image) else []
+
+
+def _not_found(image: GreyImage, reason: Reason) -> list[Reason]:
+    return [Reason.TOO_DARK, reason] if too_dark(image) else [reason]
+
+
 def _see_main(
     image: GreyImage | None, site: Site, calibrated: CalibratedSite
 ) -> tuple[_MainSeen | None, list[Reason]]:
+    image, reasons = _usable(image, site.main, "main")
     if image is None:
-        return None, [Reason.MAIN_IMAGE_MISSING]
-    try:
-        require_size(image, site.main, "main image")
-    except ImageSizeError:
-        return None, [Reason.MAIN_IMAGE_WRONG_SIZE]
-    except ImageError:
-        return None, [Reason.MAIN_IMAGE_UNREADABLE]
-    reasons = [Reason.OVEREXPOSED] if overexposed(image) else []
+        return None, reasons
     try:
         discs = find_discs(
             image, site.main_target, site.nominal_px_per_mm, calibrated.reference_discs_px
         )
         raw, shift = raw_displacement(calibrated, discs)
     except TargetNotFoundError:
-        dark = [Reason.TOO_DARK] if too_dark(image) else []
-        return None, [*reasons, *dark, Reason.MAIN_TARGET_NOT_FOUND]
+        return None, reasons + _not_found(image, Reason.MAIN_TARGET_NOT_FOUND)
     return _MainSeen(discs, raw, shift), reasons
 
 
 def _see_sub(
     image: GreyImage | None, site: Site, calibrated: CalibratedSite
 ) -> tuple[_SubSeen | None, list[Reason]]:
+    image, reasons = _usable(image, site.sub, "sub")
     if image is None:
-        return None, [Reason.SUB_IMAGE_MISSING]
-    try:
-        require_size(image, site.sub, "sub image")
-    except ImageSizeError:
-        return None, [Reason.SUB_IMAGE_WRONG_SIZE]
-    except ImageError:
-        return None, [Reason.SUB_IMAGE_UNREADABLE]
-    reasons = [Reason.OVEREXPOSED] if overexposed(image) else []
+        return None, reasons
     try:
         located = locate_board(
             image,
@@ -130,8 +171,7 @@ def _see_sub(
         )
         pose = resect(calibrated.lens, calibrated.corners_mm, located.view, located.near)
     except TargetNotFoundError:
-        dark = [Reason.TOO_DARK] if too_dark(image) else []
-        return None, [*reasons, *dark, Reason.SUB_TARGET_NOT_FOUND]
+        return None, reasons + _not_found(image, Reason.SUB_TARGET_NOT_FOUND)
     return _SubSeen(located, pose), reasons + judge_sub(calibrated, located, pose)
 
 

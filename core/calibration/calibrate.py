@@ -73,7 +73,7 @@ def calibrate(
     Raises CalibrationError, and NotObservableError if the motions determine too little.
     """
     options = FitOptions(site, Board.nominal(site.sub_target), method, skew)
-    seen, rejected = find_targets(views, site, options.board)
+    seen, rejected = find_targets(views, site)
     start, outliers = start_from_views(seen, options)
     seen = seen.without({name for name, _ in outliers})
     seen = relocate_corners(seen, start.lens, options.board)

@@ -6,13 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+import numpy as np
+
 from core.checkerboard.board import Board
-from core.checkerboard.corners import LocatedBoard, detect_board, locate_board, refine_board
+from core.checkerboard.corners import LocatedBoard, locate_board, refine_board
 from core.checkerboard.resection import resect
-from core.discs.disc_finder import Discs, find_discs
-from core.errors import CalibrationError, ImageError, TargetNotFoundError
+from core.discs.disc_finder import Discs
+from core.errors import CalibrationError, ImageError, NotRecognisedError, TargetNotFoundError
 from core.geometry.lens import Lens
 from core.images import GreyImage, require_size
+from core.recognition import board_doubt, recognise_board, recognise_discs, recognise_mounted_board
 from core.site import Site
 
 
@@ -77,15 +80,13 @@ RejectedView = tuple[str, str]
 """The name of a view that is not used, and the reason."""
 
 
-def find_targets(
-    views: Sequence[CalibrationView], site: Site, board: Board
-) -> tuple[Views, list[RejectedView]]:
+def find_targets(views: Sequence[CalibrationView], site: Site) -> tuple[Views, list[RejectedView]]:
     """Find the targets in all views; rig and lens views without them are rejected.
 
-    Raises CalibrationError if there is not exactly one reference, if it shows too little, or if
-    there are no rig views at all.
+    Raises CalibrationError if there is not exactly one reference, if it shows too little or other
+    targets than the site's, or if there are no rig views at all.
     """
-    reference = _reference(views, site, board)
+    reference = _reference(views, site)
     if not any(v.role is ViewRole.RIG for v in views):
         msg = "calibration: no rig views; move the rig with both targets at rest and take some"
         raise CalibrationError(msg)
@@ -95,38 +96,63 @@ def find_targets(
     for view in views:
         try:
             if view.role is ViewRole.RIG:
-                rig.append(_look_at_both(view, site, board))
+                rig.append(_look_at_both(view, site))
             elif view.role is ViewRole.INTRINSICS:
-                lens.append(_look_at_board(view, site, board))
+                lens.append(_look_at_board(view, site))
         except (TargetNotFoundError, ImageError) as error:
             rejected.append((view.name, str(error)))
-    return Views(reference, tuple(rig), tuple(lens)), rejected
+    seen = Views(reference, tuple(rig), tuple(lens))
+    _require_whole_board(seen, site)
+    return seen, rejected
 
 
-def _reference(views: Sequence[CalibrationView], site: Site, board: Board) -> PairView:
+def _require_whole_board(views: Views, site: Site) -> None:
+    """Raise CalibrationError if no view shows as large a board as the config has."""
+    doubt = board_doubt(views.reference.board, site)
+    fewer = views.reference.board.fewer
+    if doubt is None or fewer is None or not views.lens:
+        return
+    columns = site.sub_target.squares_x - 1
+    for view in views.all:
+        if view.board.quarter_turns % 2:
+            continue  # by the wrong count: its columns may be taken for rows
+        j, i = np.divmod(view.board.view.index, columns)
+        spans = zip((i, j), fewer, strict=True)
+        if any(count is not None and np.ptp(axis) + 1 > count for axis, count in spans):
+            return  # something covered a border of the board in the reference
+    msg = f"reference view {views.reference.name}: {doubt}"
+    raise CalibrationError(msg)
+
+
+def _reference(views: Sequence[CalibrationView], site: Site) -> PairView:
     references = [v for v in views if v.role is ViewRole.REFERENCE]
     if len(references) != 1:
         msg = f"calibration: {len(references)} reference views given, exactly one is needed"
         raise CalibrationError(msg)
     try:
-        return _look_at_both(references[0], site, board)
+        seen = _look_at_both(references[0], site, mounted=True)
+    except NotRecognisedError as error:
+        msg = f"reference view {references[0].name}: {error}"
+        raise CalibrationError(msg) from error
     except (TargetNotFoundError, ImageError) as error:
         msg = f"reference view {references[0].name}: {error}; take the reference again"
         raise CalibrationError(msg) from error
+    return seen
 
 
-def _look_at_board(view: CalibrationView, site: Site, board: Board) -> LensView:
+def _look_at_board(view: CalibrationView, site: Site, *, mounted: bool = False) -> LensView:
     require_size(view.sub, site.sub, "sub image")
-    return LensView(view.name, view.sub, detect_board(view.sub, board))
+    see = recognise_mounted_board if mounted else recognise_board
+    return LensView(view.name, view.sub, see(view.sub, site))
 
 
-def _look_at_both(view: CalibrationView, site: Site, board: Board) -> PairView:
-    seen = _look_at_board(view, site, board)
+def _look_at_both(view: CalibrationView, site: Site, *, mounted: bool = False) -> PairView:
+    seen = _look_at_board(view, site, mounted=mounted)
     if view.main is None:
         msg = "no main image"
         raise TargetNotFoundError(msg)
     require_size(view.main, site.main, "main image")
-    discs = find_discs(view.main, site.main_target, site.nominal_px_per_mm)
+    discs = recognise_discs(view.main, site)
     return PairView(seen.name, seen.sub, seen.board, discs)
 
 

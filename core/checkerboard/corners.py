@@ -12,6 +12,7 @@ from core.checkerboard.board import Board
 from core.checkerboard.corner_fit import CORNER_REACH_SQUARES, CornerFits, locate_corners, shrink
 from core.checkerboard.lattice import (
     BLIND_PX,
+    Fewer,
     IndexedLattice,
     Lattice,
     build_lattice,
@@ -59,6 +60,10 @@ class LocatedBoard:
     blur_px: float
     near: Pose | None = None
     """Where the board is, to a tenth of a pixel; None where no lens was known."""
+    quarter_turns: int = 0
+    """By how many quarter turns it is turned in the image; known where no pose was."""
+    fewer: Fewer = None
+    """Known where no pose was."""
 
     @property
     def visible(self) -> int:
@@ -78,7 +83,8 @@ def detect_board(image: GreyImage, board: Board) -> LocatedBoard:
     square_px = float(np.median(np.linalg.norm(indexed.steps_px, axis=1)))
     reach = float(np.clip(_FIRST_REACH_PX / square_px, _FIRST_REACH_SQUARES, CORNER_REACH_SQUARES))
     fits = locate_corners(image.pixels, image.saturation_dn, indexed.points_px, maps, reach)
-    return _located(indexed.index, fits, None, unambiguous=indexed.unambiguous)
+    located = _located(indexed.index, fits, None, unambiguous=indexed.unambiguous)
+    return replace(located, quarter_turns=indexed.quarter_turns, fewer=indexed.fewer)
 
 
 def locate_board(

@@ -9,9 +9,10 @@ from scipy.spatial import cKDTree
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.checkerboard.board import Board
+from core.checkerboard.board_mismatch import no_place
 from core.checkerboard.lattice_kernels import keep_mutual, largest_component, link_arms
 from core.checkerboard.saddle_points import SaddlePoints
-from core.errors import TargetNotFoundError
+from core.errors import NotRecognisedError, TargetNotFoundError
 
 _NEIGHBOURS = 13
 _MIN_CORNERS = 12
@@ -78,6 +79,11 @@ def _upright(index: IntArray, labels: IntArray, saddles: SaddlePoints, arms: Flo
     )
 
 
+Fewer = tuple[int | None, int | None] | None
+"""Columns and rows of corners between two borders that are both seen, where they are fewer than the
+board's: another board, or something covers its border. None where they are not."""
+
+
 @dataclass(frozen=True, slots=True)
 class IndexedLattice:
     """Corners of a lattice with their index on the board."""
@@ -90,6 +96,9 @@ class IndexedLattice:
     """(n, 2, 2) d(px)/d(square): columns are one square along i and along j."""
     unambiguous: bool
     """False if another position on the board would fit as well."""
+    quarter_turns: int = 0
+    """By how many quarter turns the board had to be turned to fit."""
+    fewer: Fewer = None
 
 
 def index_by_borders(
@@ -105,8 +114,11 @@ def index_by_borders(
         turned = _turned(lattice, quarter)
         places = _at_borders(turned, board, _places(turned, board), width_px, height_px)
         if places:
-            return _indexed(turned, board, places[len(places) // 2], unambiguous=len(places) == 1)
-    raise TargetNotFoundError(_no_place(lattice, board))
+            middle = places[len(places) // 2]
+            found = _indexed(turned, board, middle, unambiguous=len(places) == 1)
+            fewer = _fewer_between_borders(turned, board, width_px, height_px)
+            return replace(found, quarter_turns=quarter, fewer=fewer)
+    raise _no_place(lattice, board)
 
 
 def index_near(
@@ -121,7 +133,7 @@ def index_near(
     """
     places = _places(lattice, board)
     if not places:
-        raise TargetNotFoundError(_no_place(lattice, board))
+        raise _no_place(lattice, board)
     ij = lattice.ij
     away = {}
     for i, j in places:
@@ -145,12 +157,9 @@ def _indexed(
     return IndexedLattice(index, lattice.points_px, _steps(lattice), unambiguous)
 
 
-def _no_place(lattice: Lattice, board: Board) -> str:
-    size = lattice.ij.max(axis=0) + 1
-    return (
-        f"no checkerboard: found {size[0]}x{size[1]} corners in the image, the board has "
-        f"{board.columns}x{board.rows}"
-    )
+def _no_place(lattice: Lattice, board: Board) -> NotRecognisedError:
+    columns, rows = (lattice.ij.max(axis=0) + 1).tolist()
+    return no_place(columns, rows, board)
 
 
 def _turned(lattice: Lattice, quarter: int) -> Lattice:
@@ -194,6 +203,15 @@ def _at_borders(
         if at_end:
             fitting = [place for place in fitting if place[axis] == room[axis]]
     return fitting
+
+
+def _fewer_between_borders(lattice: Lattice, board: Board, width_px: int, height_px: int) -> Fewer:
+    size, whole = lattice.ij.max(axis=0) + 1, np.array([board.columns, board.rows])
+    if (size == whole).all():
+        return None
+    few = _borders(lattice, width_px, height_px).all(axis=1) & (size < whole)
+    columns, rows = (int(count) if less else None for count, less in zip(size, few, strict=True))
+    return (columns, rows) if few.any() else None
 
 
 def grid_of(lattice: Lattice) -> FloatArray:

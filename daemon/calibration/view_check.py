@@ -10,11 +10,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from core.arrays import FloatArray
-from core.checkerboard.board import Board
-from core.checkerboard.corners import LocatedBoard, detect_board
-from core.discs.disc_finder import Discs, find_discs
-from core.errors import CoreError
+from core.checkerboard.corners import LocatedBoard
+from core.discs.disc_finder import Discs
+from core.errors import CoreError, NotRecognisedError
 from core.images import GreyImage
+from core.recognition import (
+    board_doubt,
+    recognise_board,
+    recognise_discs,
+    recognise_mounted_board,
+)
 from core.site import Site
 from daemon.errors import HardwareError
 from daemon.slots.exposure import LOOK_PERIOD_S, next_second
@@ -49,13 +54,19 @@ def see_pair(pair: CapturedPair, site: Site) -> ViewCheck:
     problems: list[str] = []
     discs = board = None
     try:
-        discs = find_discs(main, site.main_target, site.nominal_px_per_mm)
+        discs = recognise_discs(main, site)
         problems += _main_problems(main, discs)
+    except NotRecognisedError as error:
+        problems.append(str(error))
     except CoreError as error:
         problems.append(f"{error}; aim, focus and light the main camera")
     try:
-        board = detect_board(sub, Board.nominal(site.sub_target))
+        board = recognise_mounted_board(sub, site)
         problems += _sub_problems(sub, board)
+        doubt = board_doubt(board, site)
+        problems += [] if doubt is None else [str(doubt)]
+    except NotRecognisedError as error:
+        problems.append(str(error))
     except CoreError as error:
         problems.append(f"{error}; aim, focus and light the sub-camera")
     return ViewCheck(pair, discs, board, tuple(problems))
@@ -65,7 +76,7 @@ def see_board(pair: CapturedPair, site: Site) -> ViewCheck:
     """Look at the board alone, as for a lens view."""
     sub = _sub_image(pair)
     try:
-        board = detect_board(sub, Board.nominal(site.sub_target))
+        board = recognise_board(sub, site)
     except CoreError as error:
         return ViewCheck(pair, None, None, (str(error),))
     return ViewCheck(pair, None, board, tuple(_sub_problems(sub, board)))
@@ -78,7 +89,10 @@ def _sub_image(pair: CapturedPair) -> GreyImage:
 def _main_problems(image: GreyImage, discs: Discs) -> Iterator[str]:
     if not discs.found.all():
         number = int((~discs.found).sum())
-        yield f"main target: {number} of its {len(discs.found)} discs not found; clear the view"
+        yield (
+            f"main target: {number} of its {len(discs.found)} discs not found; clear the view, or, "
+            "if nothing hides them, correct target.main.centres_mm: the plate is another one"
+        )
     elif (discs.explained_fraction < _CLEAN).any():
         yield "main target: something covers part of a disc; clear the view"
     yield from _exposure("main", image, discs.contrast_dn, discs.points_px[discs.found])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from typing import Any
 
@@ -21,7 +21,7 @@ from daemon.devices import (
 )
 from daemon.errors import ConfigError, DcamError
 from daemon.lock import sole_writer
-from daemon.slots.snapshot import frame_text, pair_fields
+from daemon.slots.snapshot import frame_text, pair_fields, recognition_problems
 from drivers.errors import DriverError
 
 
@@ -58,6 +58,7 @@ def check_cameras(site: Installation) -> Iterator[Finding]:
         return
     for role in ("main", "sub"):
         yield Finding(f"{role} frame", "ok", frame_text(pair[role]))
+    yield from _targets(pair.get("problems", []))
     yield from check_camera_heat(pair)
     skew_s = pair["skew_s"]
     if skew_s is None:
@@ -79,7 +80,18 @@ def _pair(site: Installation) -> dict[str, Any]:
     with sole_writer(site.state_directory, "dcam-ctl check"):
         clock = open_clock(site.config)
         with closing(open_pair_source(site.config, clock)) as source:
-            return pair_fields(source.capture(clock.now_utc().replace(microsecond=0)))
+            pair = source.capture(clock.now_utc().replace(microsecond=0))
+    return {**pair_fields(pair), "problems": recognition_problems(pair, site.config.site())}
+
+
+def _targets(problems: Sequence[str]) -> Iterator[Finding]:
+    """Whether both targets are recognised; a rig that is not aimed yet is no error."""
+    for role in ("main", "sub"):
+        mine = [problem for problem in problems if problem.startswith(role)]
+        if mine:
+            yield Finding(f"{role} target", "warning", "; ".join(mine))
+        else:
+            yield Finding(f"{role} target", "ok", "recognised")
 
 
 def check_head(config: Config) -> Iterator[Finding]:

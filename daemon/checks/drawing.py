@@ -16,6 +16,10 @@ SAME_WAY_DEG = 60.0
 """Cameras with less between their directions look the same way."""
 
 
+LONGEST_OFFSET_MM = 1000.0
+"""Two cameras that are further apart are hardly one rigid rig."""
+
+
 def check_drawing(site: Site) -> Iterator[Finding]:
     """What the drawing promises: scale, room for the drift in the main image, Eq. 5."""
     main, target, drift = site.main, site.main_target, site.quality
@@ -36,19 +40,64 @@ def check_drawing(site: Site) -> Iterator[Finding]:
     eq5_px = affine_error_px(target.distance_mm, drift.expected_drift_mm, off_axis_px)
     state: Literal["ok", "warning"] = "ok" if eq5_px < 1.0 else "warning"
     yield Finding("Eq. 5", state, f"{eq5_px:.3f} px, must be below 1 px for --method paper")
-    yield _directions(site.rig)
+    yield from _rig(site)
     square_px = site.sub_target.square_mm * site.sub.focal_px / site.sub_target.distance_mm
     seen = min(site.sub.width_px, site.sub.height_px) / square_px
     text = f"{square_px:.1f} px a square, {seen:.0f} squares across the shorter side"
     yield Finding("sub image", "ok", text)
 
 
-def _directions(rig: RigPrior) -> Finding:
-    """How the cameras look: two targets in one direction would not tell drift from motion."""
+def _rig(site: Site) -> Iterator[Finding]:
+    """How the cameras stand to one another as drawn; what is unusual is a warning, no error."""
+    unusual = [text for text in (_directions(site.rig), _offset(site), _hidden(site)) if text]
+    for text in unusual:
+        yield Finding("rig", "warning", text)
+    if not unusual:
+        text = f"drawn with {_between_deg(site.rig):.0f} degrees between the cameras' directions"
+        yield Finding("rig", "ok", text)
+
+
+def _between_deg(rig: RigPrior) -> float:
+    """Angle between the cameras' directions."""
     turned = Rotation.from_euler("xyz", rig.rotation_main_sub_deg, degrees=True)
-    angle_deg = float(np.degrees(np.arccos(np.clip(turned.as_matrix()[2, 2], -1.0, 1.0))))
-    text = f"drawn with {angle_deg:.0f} degrees between the cameras' directions"
-    if angle_deg < SAME_WAY_DEG:
-        text += ", looking the same way: is rig.rotation_main_sub_deg right? back to back is 180"
-        return Finding("rig", "warning", text)
-    return Finding("rig", "ok", text)
+    return float(np.degrees(np.arccos(np.clip(turned.as_matrix()[2, 2], -1.0, 1.0))))
+
+
+def _directions(rig: RigPrior) -> str | None:
+    """Two targets in one direction would not tell drift from motion."""
+    angle_deg = _between_deg(rig)
+    if angle_deg >= SAME_WAY_DEG:
+        return None
+    return (
+        f"drawn with {angle_deg:.0f} degrees between the cameras' directions, looking the same "
+        "way: the sub-camera would look at the bridge, not at the pier; back to back is "
+        "rig.rotation_main_sub_deg = [0.0, 180.0, 0.0]. Leave it if the rig is built so"
+    )
+
+
+def _offset(site: Site) -> str | None:
+    apart_mm = float(np.linalg.norm(site.rig.offset_main_sub_mm))
+    if apart_mm <= LONGEST_OFFSET_MM:
+        return None
+    return (
+        f"drawn with {apart_mm / 1e3:.3g} m between the cameras, which must be rigidly bolted "
+        "together: rig.offset_main_sub_mm is in mm, and from optical centre to optical centre. "
+        "Leave it if the rig is so large"
+    )
+
+
+def _hidden(site: Site) -> str | None:
+    """Whether the main camera as drawn would look at the board, or stand in front of it."""
+    T_CM_CS = Rotation.from_euler("xyz", site.rig.rotation_main_sub_deg, degrees=True)
+    board_CS = np.array([0.0, 0.0, site.sub_target.distance_mm])
+    x, y, z = T_CM_CS.apply(board_CS) + site.rig.offset_main_sub_mm
+    half_mm = (
+        0.5 * site.sub_target.square_mm * max(site.sub_target.squares_x, site.sub_target.squares_y)
+    )
+    if 0.0 < z < site.main_target.distance_mm and np.hypot(x, y) < half_mm:
+        return (
+            "as drawn the board is in front of the main camera and hides the main target: turn "
+            "rig.rotation_main_sub_deg (back to back is [0.0, 180.0, 0.0]) or correct the sign of "
+            "rig.offset_main_sub_mm"
+        )
+    return None

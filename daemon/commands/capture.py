@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from core.exposure.exposure_rule import Exposure
-from core.results import Flag
+from core.results import Flag, Reason
 from daemon.burst import take_burst
 from daemon.commands.options import Options, common_options, json_option, pass_options
 from daemon.commands.output import print_json, say
@@ -23,6 +23,11 @@ from daemon.slots.measuring import ActiveCalibration, active_calibration
 from daemon.slots.snapshot import frame_text, look_fields, measure_look
 from daemon.store.database import open_store_readonly
 from drivers.protocols import Role
+
+_TO_CALIBRATE = (
+    "there is no calibration in use yet; take lens views with dcam-ctl calibrate --intrinsics, "
+    "then run dcam-ctl calibrate --pan-tilt"
+)
 
 
 @click.command("capture", epilog="\b\nExample:\n  dcam-ctl capture --json")
@@ -64,7 +69,7 @@ def _look(options: Options) -> dict[str, Any]:
     else:
         with open_store_readonly(state) as store:
             measurement = measure_look(shots, slot_utc, config.site(), calibration, store)
-    return look_fields(slot_utc, measurement, shots)
+    return look_fields(slot_utc, measurement, shots, config.site())
 
 
 def _known(
@@ -98,6 +103,10 @@ def say_look(look: dict[str, Any]) -> None:
         say(f"rig rotation x {rx:+.4f}, y {ry:+.4f}, z {rz:+.4f} mrad")
         say(f"rig shift    x {tx:+.4f}, y {ty:+.4f}, z {tz:+.4f} mm")
     say(f"seen         {seen['discs']} discs, {seen['corners']} corners")
+    for problem in look.get("problems", []):  # an older dcamd gives none
+        say(f"problem      {problem}")
+    if Reason.NO_CALIBRATION in row["reasons"]:
+        say(f"next         {_TO_CALIBRATE}")
     skew = "not measured" if look["skew_s"] is None else f"{1e3 * look['skew_s']:+.2f} ms"
     say(f"skew         {skew}")
     for name in ("main", "sub"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,7 +17,10 @@ _MIN_OFFSET_MM = 5.0
 
 def implausible_values(site: Site) -> list[str]:
     """Name keys whose values do not fit the others, each with the likely mistake."""
-    problems = (
+    swapped = _focal_lengths(site)
+    if swapped is not None:
+        return [swapped]
+    problems: tuple[str | None, ...] = (
         _distance("main", site.main, site.main_target.distance_mm),
         _distance("sub", site.sub, site.sub_target.distance_mm),
         _radians(site.rig),
@@ -31,6 +35,32 @@ def implausible_values(site: Site) -> list[str]:
             _square_size(site.sub, site.sub_target),
         )
     return [problem for problem in problems if problem]
+
+
+def _focal_lengths(site: Site) -> str | None:
+    """Whether the focal lengths fit the distances and targets only once they are exchanged."""
+    main_mm, sub_mm = site.main.focal_length_mm, site.sub.focal_length_mm
+
+    def fit(main: CameraGeometry, sub: CameraGeometry) -> bool:
+        return not any(
+            (
+                _distance("main", main, site.main_target.distance_mm),
+                _distance("sub", sub, site.sub_target.distance_mm),
+                _disc_size(main, site.main_target),
+                _square_size(sub, site.sub_target),
+            )
+        )
+
+    exchanged = (
+        replace(site.main, focal_length_mm=sub_mm),
+        replace(site.sub, focal_length_mm=main_mm),
+    )
+    if main_mm >= sub_mm or fit(site.main, site.sub) or not fit(*exchanged):
+        return None
+    return (
+        f"camera.main.focal_length_mm: {main_mm:g} mm and camera.sub.focal_length_mm: {sub_mm:g} "
+        "mm fit the targets only the other way round; exchange them"
+    )
 
 
 def _distance(which: str, camera: CameraGeometry, distance_mm: float) -> str | None:

@@ -12,7 +12,7 @@ import structlog
 from core.calibration.calibrate import Calibration
 from core.errors import CalibrationError, ImageError
 from core.images import GreyImage, require_size
-from core.measurement import measure_pair
+from core.measurement import look_at_pair, measure_pair
 from core.quality.burst import combine
 from core.quality.verdicts import flag_of
 from core.results import Flag, Measurement, Reason
@@ -141,10 +141,12 @@ def _note_size(image: GreyImage | None, camera: CameraGeometry, path: Path | Non
 def _measure_one(pair: ImagePair, site: Site, calibration: ActiveCalibration | None) -> Measurement:
     if len(pair.unreadable) == len(_UNREADABLE):
         return _bad(*_UNREADABLE.values())
-    if calibration is None:
-        return _bad(Reason.NO_CALIBRATION)
     try:
-        measurement = measure_pair(pair.main, pair.sub, site, calibration.calibration, pair.skew_s)
+        if calibration is None:
+            measurement = look_at_pair(pair.main, pair.sub, site)
+        else:
+            given = calibration.calibration
+            measurement = measure_pair(pair.main, pair.sub, site, given, pair.skew_s)
     except Exception:  # noqa: BLE001 - a fault of ours costs this value, not the row
         _log.exception("measurement_broke")
         return _bad(Reason.INTERNAL_ERROR)

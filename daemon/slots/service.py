@@ -200,7 +200,7 @@ class Service:
             shots = take_burst(source, self._clock, slot_utc, context.burst)
         calibration = active_calibration(self._store)
         measurement = measure_look(shots, slot_utc, context.site, calibration, self._store)
-        return look_fields(slot_utc, measurement, shots)
+        return look_fields(slot_utc, measurement, shots, context.site)
 
 
 def prepare_cameras(source: FramePairSource) -> None:

@@ -6,6 +6,9 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from typing import Any
 
+from core.errors import ImageError, TargetNotFoundError
+from core.images import GreyImage, require_size
+from core.recognition import recognise_discs, recognise_mounted_board
 from core.results import Measurement
 from core.site import Site
 from daemon.burst import Shot
@@ -51,19 +54,38 @@ def measure_look(
 
 
 def look_fields(
-    slot_utc: datetime, measurement: Measurement, shots: Sequence[Shot]
+    slot_utc: datetime, measurement: Measurement, shots: Sequence[Shot], site: Site
 ) -> dict[str, Any]:
-    """Give what is told of a look, in plain JSON types."""
+    """Give what is told of a look, in plain JSON types; without a value, with what explains it."""
     pair, seen = shots[0].pair, measurement.diagnostics
+    problems = [] if measurement.corrected is not None else recognition_problems(pair, site)
     fields: dict[str, Any] = plain(
         {
             "measurement": result_fields(slot_utc, measurement),
             "pairs": len(shots),
             "seen": {"discs": seen.discs_found, "corners": seen.corners_used},
+            "problems": problems,
             **pair_fields(pair),
         }
     )
     return fields
+
+
+def recognition_problems(pair: CapturedPair, site: Site) -> list[str]:
+    """Say of each target why it is not recognised in a pair, by the config alone."""
+    main, sub = (GreyImage(frame.pixels, frame.bits) for frame in (pair.main, pair.sub))
+    problems: list[str] = []
+    for recognise, image, camera, role in (
+        (recognise_discs, main, site.main, "main"),
+        (recognise_mounted_board, sub, site.sub, "sub"),
+    ):
+        try:
+            require_size(image, camera, f"{role} image")
+            recognise(image, site)
+        except (TargetNotFoundError, ImageError) as error:
+            text = str(error)
+            problems.append(text if text.startswith(role) else f"{role} target: {text}")
+    return problems
 
 
 def pair_fields(pair: CapturedPair) -> dict[str, Any]:

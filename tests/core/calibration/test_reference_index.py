@@ -33,7 +33,7 @@ def test_a_board_higher_than_the_image_and_off_its_middle_calibrates() -> None:
 @pytest.fixture(scope="module")
 def seen(lab: Session) -> tuple[Views, Board]:
     board = Board.nominal(lab.site.sub_target)
-    views, _ = find_targets(lab.views, lab.site, board)
+    views, _ = find_targets(lab.views, lab.site)
     return relocate_corners(views, lab.calibration.calibrated.lens, board), board
 
 

@@ -233,3 +233,23 @@ def test_check_of_hardware_that_is_not_there_is_exit_code_4(ctl: Ctl, tmp_path: 
     assert ran.code == 4
     assert "not there; check its cable and power" in ran.out
     assert ctl(*arguments, "capture").code == 4
+
+
+@pytest.mark.parametrize(
+    ("drawn", "what"),
+    [
+        (("[0.0, 180.0, 0.0]", "[0.0, 0.0, 0.0]"), "back to back is rig.rotation_main_sub_deg"),
+        (("-80.0]", "-8000.0]"), "8 m between the cameras"),
+        (("-80.0]", "80.0]"), "the board is in front of the main camera"),
+    ],
+)
+def test_check_warns_of_an_unusual_rig_and_says_what_to_write(
+    ctl: Ctl, tmp_path: Path, drawn: tuple[str, str], what: str
+) -> None:
+    """A warning: a rig may be built like that."""
+    (tmp_path / "dcam.toml").write_text(CONFIG.replace(*drawn))
+    ran = ctl("--config", tmp_path / "dcam.toml", "--state", tmp_path / "state", "check")
+    assert ran.code == 0
+    (line,) = (line for line in ran.out.splitlines() if line.startswith("rig "))
+    assert line.split()[1] == "warning"
+    assert what in line

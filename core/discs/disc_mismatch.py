@@ -1,0 +1,109 @@
+"""How discs in an image differ from the configured ones: mirrored, turned, of another size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import Enum, auto
+
+import numpy as np
+
+from core.discs.blobs import MANY_LEVELS, Blobs, find_blobs
+from core.discs.layout import MIN_DISCS, DiscAssignment, Expectation, Layout, identify_discs
+from core.images import GreyImage
+from core.site import CirclesTarget
+
+_MOST_CANDIDATES = 60
+_LARGE_PX = 1000
+_UPRIGHT_DEG, _UPSIDE_DOWN_DEG = 50.0, 130.0
+_OTHER_DIAMETERS = (1.0, 1.4, 0.7, 2.0, 0.5, 2.8, 0.35)
+"""In units of the configured one; each is right to 25 %."""
+_ALIKE = 0.2
+
+
+class DiscMismatch(Enum):
+    """What is different."""
+
+    SCALE = auto()
+    """As configured, but larger or smaller than lens and distance say."""
+    UPSIDE_DOWN = auto()
+    ON_ITS_SIDE = auto()
+    MIRRORED = auto()
+    """Left and right are exchanged."""
+    FLIPPED = auto()
+    """Top and bottom are exchanged."""
+    DIAMETER = auto()
+    """The centres are as configured, the discs are larger or smaller."""
+    LAYOUT = auto()
+    """Discs, but not so many or not at these places."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenDiscs:
+    """What is seen instead of the configured target."""
+
+    mismatch: DiscMismatch
+    count: int
+    """How many discs are seen."""
+    px_per_mm: float
+    """By the configured centres; NaN with LAYOUT."""
+    diameter_ratio: float
+    """Of the diameters seen to those configured; NaN with LAYOUT."""
+
+
+def explain_discs(image: GreyImage, target: CirclesTarget) -> SeenDiscs | None:
+    """Say how the discs in an image differ from the configured ones; None where there are none.
+
+    All discs must be seen to be known again.
+    """
+    shrink = 2 if max(image.pixels.shape) > _LARGE_PX else 1
+    blobs = find_blobs(image.pixels, shrink, MANY_LEVELS).clearest(_MOST_CANDIDATES)
+    if len(blobs.points_px) < MIN_DISCS:
+        return None
+    drawn = Layout(target.centres_mm * np.array([1.0, -1.0]), target.diameters_mm / 2.0)
+    for ratio in _OTHER_DIAMETERS:
+        layout = replace(drawn, radii_mm=ratio * drawn.radii_mm)
+        found = _all_found(blobs, layout)
+        if found is not None:
+            return _as_drawn(blobs, layout, found, ratio)
+    mirrored = replace(drawn, places_mm=drawn.places_mm * np.array([-1.0, 1.0]))
+    found = _all_found(blobs, mirrored)
+    if found is not None:
+        turned = abs(found.roll_deg) > 90.0
+        mismatch = DiscMismatch.FLIPPED if turned else DiscMismatch.MIRRORED
+        return SeenDiscs(mismatch, len(found.discs), _px_per_mm(found), 1.0)
+    alike = _alike(blobs)
+    if alike < MIN_DISCS:
+        return None
+    return SeenDiscs(DiscMismatch.LAYOUT, alike, np.nan, np.nan)
+
+
+def _all_found(blobs: Blobs, layout: Layout) -> DiscAssignment | None:
+    everything = Expectation(min_discs=len(layout.radii_mm))
+    return identify_discs(blobs, layout, everything)
+
+
+def _as_drawn(blobs: Blobs, layout: Layout, found: DiscAssignment, ratio: float) -> SeenDiscs:
+    scale = _px_per_mm(found)
+    drawn_mm = layout.radii_mm[found.discs] / ratio
+    seen = float(np.median(blobs.radius_px[found.spots] / (scale * drawn_mm)))
+    if ratio != 1.0:
+        mismatch = DiscMismatch.DIAMETER
+    elif abs(found.roll_deg) > _UPSIDE_DOWN_DEG:
+        mismatch = DiscMismatch.UPSIDE_DOWN
+    elif abs(found.roll_deg) > _UPRIGHT_DEG:
+        mismatch = DiscMismatch.ON_ITS_SIDE
+    else:
+        mismatch = DiscMismatch.SCALE
+    return SeenDiscs(mismatch, len(found.discs), scale, seen)
+
+
+def _px_per_mm(found: DiscAssignment) -> float:
+    return float(np.sqrt(abs(np.linalg.det(found.H[:2, :2] / found.H[2, 2]))))
+
+
+def _alike(blobs: Blobs) -> int:
+    """How many of the spots are about as large and as bright as the clearest one of them."""
+    clearest = int(np.argmax(blobs.evenness))
+    size = np.abs(np.log(blobs.radius_px / blobs.radius_px[clearest]))
+    bright = np.abs(np.log(blobs.contrast_dn / blobs.contrast_dn[clearest]))
+    return int(((size < _ALIKE) & (bright < _ALIKE)).sum())

@@ -1,0 +1,173 @@
+"""Both targets looked for by the config alone, and why one that is there is not recognised.
+
+For calibrating, aiming and checking, where no calibration says what to expect. What is done to
+explain costs time only where a target was not found.
+"""
+
+from __future__ import annotations
+
+from core.checkerboard.board import Board
+from core.checkerboard.board_mismatch import too_few_between_borders, turned
+from core.checkerboard.corners import LocatedBoard, detect_board
+from core.discs.disc_finder import Discs, find_discs
+from core.discs.disc_mismatch import DiscMismatch, SeenDiscs, explain_discs
+from core.errors import NotRecognisedError, TargetNotFoundError
+from core.images import GreyImage
+from core.site import Site
+
+_SWAP = (
+    "the cameras are swapped: exchange camera.main.serial and camera.sub.serial in the config, or "
+    "the columns main and sub of frames.csv"
+)
+_REVERSE = "switch ReverseX and ReverseY of the main camera off"
+_FOCAL_FACTOR = 2.0
+
+
+def recognise_discs(image: GreyImage, site: Site) -> Discs:
+    """Find the main target. Raises NotRecognisedError where something explains why it is not found.
+
+    Else TargetNotFoundError.
+    """
+    try:
+        discs = find_discs(image, site.main_target, site.nominal_px_per_mm)
+    except TargetNotFoundError as error:
+        why = _why_no_discs(image, site)
+        if why is None:
+            raise
+        msg = f"main target: {why}"
+        raise NotRecognisedError(msg) from error
+    if not discs.found.all():
+        _require_no_better_way(image, site)
+    return discs
+
+
+def _require_no_better_way(image: GreyImage, site: Site) -> None:
+    """Raise NotRecognisedError if all discs fit another way, where only some do as configured."""
+    seen = explain_discs(image, site.main_target)
+    if seen is not None and seen.mismatch not in {DiscMismatch.SCALE, DiscMismatch.LAYOUT}:
+        msg = f"main target: {_sentence(seen, site)}"
+        raise NotRecognisedError(msg)
+
+
+def recognise_board(image: GreyImage, site: Site) -> LocatedBoard:
+    """Find the board, held in any way. Raises as `recognise_discs`."""
+    try:
+        return detect_board(image, Board.nominal(site.sub_target))
+    except NotRecognisedError:
+        raise
+    except TargetNotFoundError as error:
+        if not _shows_discs(image, site):
+            raise
+        msg = f"sub target: the sub image shows the discs, not the board; {_SWAP}"
+        raise NotRecognisedError(msg) from error
+
+
+def recognise_mounted_board(image: GreyImage, site: Site) -> LocatedBoard:
+    """Find the board as mounted, its WS origin top left. Raises as `recognise_discs`."""
+    board, seen = Board.nominal(site.sub_target), recognise_board(image, site)
+    if seen.fewer is None and seen.quarter_turns:
+        raise turned(seen.quarter_turns, board)
+    return seen
+
+
+def board_doubt(seen: LocatedBoard, site: Site) -> NotRecognisedError | None:
+    """What lets a board that was found seem to be another one, or partly covered."""
+    if seen.fewer is None:
+        return None
+    return too_few_between_borders(seen.fewer[0], seen.fewer[1], Board.nominal(site.sub_target))
+
+
+def _shows_discs(image: GreyImage, site: Site) -> bool:
+    """Whether an image shows the whole main target, whatever its size."""
+    try:
+        return bool(find_discs(image, site.main_target).found.all())
+    except TargetNotFoundError:
+        return False
+
+
+def _shows_board(image: GreyImage, site: Site) -> bool:
+    try:
+        detect_board(image, Board.nominal(site.sub_target))
+    except NotRecognisedError:
+        return True
+    except TargetNotFoundError:
+        return False
+    return True
+
+
+def _why_no_discs(image: GreyImage, site: Site) -> str | None:
+    if _shows_board(image, site):
+        return f"the main image shows the board, not the discs; {_SWAP}"
+    seen = explain_discs(image, site.main_target)
+    return None if seen is None else _sentence(seen, site)
+
+
+def _sentence(seen: SeenDiscs, site: Site) -> str | None:
+    match seen.mismatch:
+        case DiscMismatch.MIRRORED:
+            return (
+                "its discs fit only with left and right exchanged, so the image is mirrored: "
+                f"{_REVERSE}; or x in target.main.centres_mm has the wrong sign"
+            )
+        case DiscMismatch.FLIPPED:
+            return (
+                "its discs fit only with top and bottom exchanged, so the image is flipped: "
+                f"{_REVERSE}; or y in target.main.centres_mm has the wrong sign (y is up)"
+            )
+        case DiscMismatch.UPSIDE_DOWN:
+            return (
+                "it is seen upside down; turn the plate or the camera by 180 degrees, or "
+                f"{_REVERSE}"
+            )
+        case DiscMismatch.ON_ITS_SIDE:
+            return (
+                "it is seen on its side; turn the plate or the camera by 90 degrees, or exchange "
+                "x and y in target.main.centres_mm"
+            )
+        case DiscMismatch.DIAMETER:
+            return _diameter(seen, site)
+        case DiscMismatch.SCALE:
+            return _scale(seen, site)
+        case DiscMismatch.LAYOUT:
+            return _layout(seen, site)
+
+
+def _diameter(seen: SeenDiscs, site: Site) -> str:
+    drawn_mm = site.main_target.diameters_mm
+    seen_mm = ", ".join(f"{mm:.2g}" for mm in dict.fromkeys(seen.diameter_ratio * drawn_mm))
+    return (
+        f"its discs are {seen.diameter_ratio:.2g} times as wide, for their distances from one "
+        f"another, as target.main.diameter_mm says; measure them: about {seen_mm} mm if "
+        "target.main.centres_mm is right"
+    )
+
+
+def _scale(seen: SeenDiscs, site: Site) -> str | None:
+    expected = site.nominal_px_per_mm
+    ratio = seen.px_per_mm / expected
+    if 1.0 / _FOCAL_FACTOR < ratio < _FOCAL_FACTOR:
+        return None  # not the size: what the finder says stands
+    swapped = site.sub.focal_length_mm / site.main.focal_length_mm
+    text = f"its discs are seen, {ratio:.3g} times as large as the config says"
+    if swapped / _FOCAL_FACTOR < ratio < swapped * _FOCAL_FACTOR:
+        return f"{text}; exchange camera.main.focal_length_mm and camera.sub.focal_length_mm"
+    return (
+        f"{text} ({seen.px_per_mm:.3g} px/mm instead of {expected:.3g}); correct "
+        "camera.main.focal_length_mm, target.main.distance_mm, or, if the plate is another one, "
+        "target.main.centres_mm and diameter_mm (all in mm)"
+    )
+
+
+def _layout(seen: SeenDiscs, site: Site) -> str | None:
+    count = len(site.main_target.centres_mm)
+    if seen.count == count:
+        return (
+            f"{count} discs are seen, but not at the places of target.main.centres_mm (mm, x right,"
+            " y up as the main camera sees it); correct these, or mount the plate of the config"
+        )
+    if abs(seen.count - count) > count // 2:
+        return None  # lamps or drops rather than a plate
+    return (
+        f"{seen.count} discs are seen, target.main.centres_mm has {count}; clear the view, or "
+        "write down the plate that is mounted"
+    )
