@@ -18,7 +18,6 @@ from core.compiled import compiled
 from core.images import GreyImage
 
 MIN_PIXELS = 40
-SETTLED_PX = 0.003  # the next step would be a hundred times smaller
 _FAR = 4.0  # beyond this many blur widths an edge is flat to 1e-4 of its contrast
 _NODES_PER_WIDTH = 32.0
 _NODES = np.arange(int(2 * _FAR * _NODES_PER_WIDTH) + 2) / _NODES_PER_WIDTH - _FAR
@@ -89,26 +88,6 @@ def edge(distance: float, blur: float) -> tuple[float, float, float]:
     value = here + t * (slope_here + t * (bend + t * twist))
     bell = (slope_here + t * (2.0 * bend + 3.0 * t * twist)) * _NODES_PER_WIDTH / blur
     return value, bell, -bell * z
-
-
-@compiled
-def advance(
-    normal: FloatArray, right: FloatArray, factor: FloatArray, p: FloatArray
-) -> tuple[bool, float, float]:
-    """Take a Gauss-Newton step of the parameters p.
-
-    Gives whether the normal matrix is positive, by how much the sum of squares falls, and how
-    far the first two parameters, a shift in px, went. factor is room to work in.
-    """
-    factor[:, :] = normal
-    step = right.copy()
-    if not solve_spd(factor, step, len(p)):
-        return False, 0.0, 0.0
-    improved = 0.0
-    for a in range(len(p)):
-        p[a] += step[a]
-        improved += right[a] * step[a]
-    return True, improved, abs(step[0]) + abs(step[1])
 
 
 @compiled

@@ -8,15 +8,33 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray
 from core.discs.disc_kernels import DISC_PARAMETERS, Pixels, fit_discs
-from core.grey_fit import SETTLED_PX, covariances, residual_noise
+from core.grey_fit import covariances, residual_noise
 
 _NARROW_PX, _NARROW_BLURS = 2.0, 3.0
-"""Beyond this, plus so many blur widths, a pixel tells no more than the grey on either side."""
+"""Beyond 2 px plus 3 blur widths erf is flat: a pixel tells no more than the grey on its side."""
 _COARSE_SHARE, _COARSE_PX = 0.35, (3.0, 8.0)
+"""Half the width of the first ring: thresholds put an outline of some 9 px to 15 % of its radius
+or 1 px; twice that, and no more than the 8 px that the paper about a disc may be narrow."""
 _LARGE_SHARE = 0.2
 """A large disc was found in an image of a fraction of the size, its outline as roughly."""
 _COARSE_PIXELS = 600
-_NEARLY_PX = 0.05
+"""Pixels that place an outline to 0.1 px at a noise of a tenth of the contrast: 50 a parameter."""
+_START_BLUR_PX, _START_BLUR_SHARE = 1.0, 0.3
+"""A start so blurred (share of the first ring) reaches the true edge from 10 % off the radius."""
+_COARSE_STEPS, _STEPS = 20, 20
+"""Rendered discs need 3 to 8 from a start that is 1.5 px and 10 % off; the rest is reserve."""
+_ROUNDS, _SAME_NOISE = 6, 0.002
+"""Ring and noise are taken from the fit before, until the noise changes by less than this share."""
+_NEARLY_PX, _SETTLED_PX = 0.05, 0.0005
+"""A last step of so much: for the first ring, and where the result must not depend on the start.
+
+The weights follow the residuals, so that steps shrink by a factor of 5 to 50, not quadratically.
+"""
+_LEAST_NOISE_DN = 0.3
+"""Rounding to whole values alone: sqrt(1 / 12)."""
+_BLUR = 11
+_GEOMETRY = np.array([0, 1, 2, 3, 4, _BLUR])
+"""The parameters in px: place, outline, blur."""
 _TURNS = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
 
 
@@ -46,27 +64,34 @@ def locate_discs(
 
     First roughly, with some of the pixels of a wide ring about each outline; then with all
     pixels of a ring that the blur makes as narrow as it may be, and less weight for those that
-    the model does not explain.
+    the model does not explain. Ring and noise of the last fit come from the fit before it, so that
+    neither the result nor its weights depend on the points and outlines given.
     """
     pixels = np.ascontiguousarray(pixels)
     points = np.ascontiguousarray(points_px, dtype=float)
     n = len(points)
     state = _start(pixels, points, outline_px)
     information, figures = np.zeros((n, 2, 2)), np.zeros((n, 5))
-    radius = np.trace(outline_px, axis1=1, axis2=2) / 2.0
-    wide = np.maximum(np.clip(_COARSE_SHARE * radius, *_COARSE_PX), _LARGE_SHARE * radius)
-    every = np.maximum(1, 12.6 * radius * wide / _COARSE_PIXELS)
+    wide = _wide_px(state)
+    every = np.maximum(1, 2.0 * np.pi * (state[:, 2] + state[:, 4]) * wide / _COARSE_PIXELS)
     every = every.astype(np.int64)
     limits = np.array([saturation_dn, 0.0, _NEARLY_PX])
-    fit_discs(pixels, points, wide, every, limits, 10, state, information, figures)
-    noise = residual_noise(figures, DISC_PARAMETERS)
+    fit_discs(pixels, points, wide, every, limits, _COARSE_STEPS, state, information, figures)
+    every[:], limits[2] = 1, _SETTLED_PX
     ok = figures[:, 4] > 0
-    limits[1:] = max(float(np.min(noise[ok])) if ok.any() else 1.0, 0.3), SETTLED_PX
-    narrow = np.where(ok, np.minimum(wide, _NARROW_PX + _NARROW_BLURS * state[:, 11]), 0.0)
-    state[~ok, 2:5] = 0.0
-    all_pixels = np.ones(n, dtype=np.int64)
-    fit_discs(pixels, points, narrow, all_pixels, limits, 8, state, information, figures)
-    ok = ok & (figures[:, 4] > 0)
+    for _ in range(_ROUNDS):
+        before, limits[1] = state.copy(), _least_noise_dn(figures, ok)
+        reach = np.minimum(_wide_px(state), _NARROW_PX + _NARROW_BLURS * state[:, _BLUR])
+        state[~ok, 2:5] = 0.0
+        fit_discs(
+            pixels, points, np.where(ok, reach, 0.0), every, limits, _STEPS, state, information,
+            figures,
+        )  # fmt: skip
+        ok = ok & (figures[:, 4] > 0)
+        moved = np.abs(state - before)[ok][:, _GEOMETRY]
+        same_noise = abs(_least_noise_dn(figures, ok) - limits[1]) < _SAME_NOISE * limits[1]
+        if same_noise and (moved < _SETTLED_PX).all():
+            break
     noise = residual_noise(figures, DISC_PARAMETERS)
     return DiscFits(
         points + state[:, :2],
@@ -75,9 +100,21 @@ def locate_discs(
         np.stack([state[:, 2:4], state[:, 3:5]], axis=1),
         noise,
         np.abs(state[:, 8]),
-        state[:, 11],
+        state[:, _BLUR],
         figures[:, 3] / np.maximum(figures[:, 2], 1.0),
     )
+
+
+def _least_noise_dn(figures: FloatArray, ok: BoolArray) -> float:
+    """Noise of the quietest disc, DN: what something lies on must not call itself noisy."""
+    noise = residual_noise(figures, DISC_PARAMETERS)
+    return max(float(np.min(noise[ok])) if ok.any() else 1.0, _LEAST_NOISE_DN)
+
+
+def _wide_px(state: FloatArray) -> FloatArray:
+    """Half the width of a ring (n,) about outlines that may be off by a share of their size."""
+    radius = 0.5 * (state[:, 2] + state[:, 4])
+    return np.maximum(np.clip(_COARSE_SHARE * radius, *_COARSE_PX), _LARGE_SHARE * radius)
 
 
 def _start(pixels: Pixels, points: FloatArray, outline: FloatArray) -> FloatArray:
@@ -92,5 +129,6 @@ def _start(pixels: Pixels, points: FloatArray, outline: FloatArray) -> FloatArra
     high, low = levels
     state = np.zeros((len(points), DISC_PARAMETERS))
     state[:, 2], state[:, 3], state[:, 4] = outline[:, 0, 0], outline[:, 0, 1], outline[:, 1, 1]
-    state[:, 5], state[:, 8], state[:, 11] = low, high - low, 1.0
+    state[:, 5], state[:, 8] = low, high - low
+    state[:, _BLUR] = np.maximum(_START_BLUR_PX, _START_BLUR_SHARE * _wide_px(state))
     return state

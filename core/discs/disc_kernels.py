@@ -10,11 +10,17 @@ from numpy.typing import NDArray
 
 from core.arrays import FloatArray, IntArray
 from core.compiled import compiled
-from core.grey_fit import MIN_PIXELS, advance, edge, pixel_weight, reduce_to_shift
+from core.grey_fit import MIN_PIXELS, edge, pixel_weight, reduce_to_shift, solve_spd
 
 DISC_PARAMETERS = 12
 _LEAST_BLUR_PX, _MOST_BLUR_PX = 0.25, 12.0
 """A pixel's own width blurs by 0.29 px; a camera that sharpens takes some of that off."""
+_GOLDEN = 0.381966
+"""The smaller part of 1 cut in the golden section."""
+_BLUR = 11
+"""Index of the blur among the parameters."""
+_MOST_STEP_BLURS = 1.0
+"""A step goes so many blur widths at most: further away the edge's profile is no straight line."""
 _BLOCK = 128  # so that the derivatives stay in the fastest cache
 Pixels = NDArray[Any]
 """(h, w) grey values: uint8, uint16 or float32."""
@@ -63,7 +69,7 @@ def _disc_pixel(u: float, v: float, p: FloatArray, rows: FloatArray, at: int) ->
     per_rho_det = per_det / rho
     hx, hy = (c * qx - b * qy) * per_rho_det, (a * qy - b * qx) * per_rho_det
     per_norm = 1.0 / (math.sqrt(hx * hx + hy * hy) + 1e-12)
-    rise, slope, by_blur = edge((1.0 - rho) * per_norm, p[11])
+    rise, slope, by_blur = edge((1.0 - rho) * per_norm, p[_BLUR])
     inside = 0.5 * (1.0 + rise)
     gain = p[8] + p[9] * u + p[10] * v
     outward = 0.5 * gain * slope * per_norm
@@ -72,7 +78,7 @@ def _disc_pixel(u: float, v: float, p: FloatArray, rows: FloatArray, at: int) ->
     rows[2, at], rows[3, at], rows[4, at] = by_x * qx, by_x * qy + by_y * qx, by_y * qy
     rows[5, at], rows[6, at], rows[7, at] = 1.0, u, v
     rows[8, at], rows[9, at], rows[10, at] = inside, inside * u, inside * v
-    rows[11, at] = 0.5 * gain * by_blur
+    rows[_BLUR, at] = 0.5 * gain * by_blur
     return float(p[5] + p[6] * u + p[7] * v + gain * inside)
 
 
@@ -118,14 +124,24 @@ def _span(p: FloatArray, further_px: float, dv: float) -> tuple[float, float]:
 
 
 @compiled
+def _lattice_step(every: int) -> int:
+    """By how much the columns taken of one row lie beside those of the row above.
+
+    Near the golden section of `every`: pixels are then spread evenly in all directions.
+    """
+    return max(1, int(_GOLDEN * every + 0.5))
+
+
+@compiled
 def _gather_disc(
     image: Pixels, at: FloatArray, p: FloatArray, reach_px: float, every: int, pixels: FloatArray
 ) -> int:
     """Collect (u, v, grey) of pixels nearer than reach_px to an outline; their number comes back.
 
-    Of all these every so-manieth.
+    Of all these one in `every`, on a lattice that the image fixes: which ones are taken must not
+    depend on where the outline was supposed to be.
     """
-    count, passed = 0, 0
+    count, per_row = 0, _lattice_step(every)
     u0, v0 = at[0] + p[0], at[1] + p[1]
     tall = math.sqrt((p[4] + reach_px) * (p[4] + reach_px) + p[3] * p[3])
     for row in range(max(0, math.ceil(v0 - tall)), min(image.shape[0], int(v0 + tall) + 1)):
@@ -137,11 +153,10 @@ def _gather_disc(
             if gap_from <= column <= gap_to:
                 column = gap_to + 1
                 continue
-            if passed % every == 0 and count < pixels.shape[1]:
+            if (column + per_row * row) % every == 0 and count < pixels.shape[1]:
                 pixels[0, count], pixels[1, count] = column - at[0], row - at[1]
                 pixels[2, count] = image[row, column]
                 count += 1
-            passed += 1
             column += 1
     return count
 
@@ -162,9 +177,57 @@ def _hold_blur(p: FloatArray, normal: FloatArray, right: FloatArray) -> None:
 
     That is where the images are sharper than any edge that the model knows.
     """
-    down, up = p[11] <= _LEAST_BLUR_PX, p[11] >= _MOST_BLUR_PX
-    if (down and right[11] < 0.0) or (up and right[11] > 0.0):
-        normal[11, :], normal[11, 11], right[11] = 0.0, 1.0, 0.0
+    down, up = p[_BLUR] <= _LEAST_BLUR_PX, p[_BLUR] >= _MOST_BLUR_PX
+    if (down and right[_BLUR] < 0.0) or (up and right[_BLUR] > 0.0):
+        normal[_BLUR, :], normal[_BLUR, _BLUR], right[_BLUR] = 0.0, 1.0, 0.0
+
+
+@compiled
+def _advance(
+    normal: FloatArray, right: FloatArray, factor: FloatArray, step: FloatArray, p: FloatArray
+) -> tuple[bool, float]:
+    """Take a Gauss-Newton step of the parameters p; factor and step are room to work in.
+
+    Gives whether the normal matrix is positive, and the largest change, px, of what has this
+    unit: place, outline and blur. A disc is symmetric, so that its place comes to rest before its
+    size and its blur do.
+    """
+    factor[:, :] = normal
+    step[:] = right
+    if not solve_spd(factor, step, len(p)):
+        return False, 0.0
+    moved_px = abs(step[_BLUR])
+    for a in range(5):
+        moved_px = max(moved_px, abs(step[a]))
+    share = min(1.0, _MOST_STEP_BLURS * p[_BLUR] / (moved_px + 1e-30))
+    blur_px = p[_BLUR]
+    for a in range(len(p)):
+        p[a] += share * step[a]
+    p[_BLUR] = min(max(p[_BLUR], _LEAST_BLUR_PX, 0.5 * blur_px), _MOST_BLUR_PX)
+    moved_px = abs(p[_BLUR] - blur_px)
+    for a in range(5):
+        moved_px = max(moved_px, share * abs(step[a]))
+    return True, moved_px
+
+
+@compiled
+def _equations(
+    pixels: FloatArray, count: int, p: FloatArray, limits: FloatArray, rows: FloatArray,
+    miss: FloatArray, weight: FloatArray, normal: FloatArray, right: FloatArray,
+) -> None:  # fmt: skip
+    """Set up the weighted normal equations (lower half), with misses and weights by pixel."""
+    normal[:, :], right[:] = 0.0, 0.0
+    for first in range(0, count, _BLOCK):
+        block = min(_BLOCK, count - first)
+        for at in range(block):
+            i = first + at
+            model = _disc_pixel(pixels[0, i], pixels[1, i], p, rows, at)
+            miss[i] = pixels[2, i] - model
+            weight[i] = pixel_weight(miss[i], limits[1])
+            if model >= limits[0] <= pixels[2, i]:
+                weight[i] = 0.0
+        _add_up(rows, miss[first:], weight[first:], block, normal, right)
+    _hold_blur(p, normal, right)
 
 
 @compiled
@@ -192,13 +255,16 @@ def fit_discs(
     """Fit a bright disc at each point.
 
     image (h, w) DN; points (n, 2) px; reach_px (n,) about the outline; every (n,): which share
-    of the pixels to use; limits: saturation DN, noise DN for the pixel weights (0: none), when
-    a step is small, px. state (n, 12) in and out; information (n, 2, 2) as in `fit_corners`;
-    figures (n, 5): weighted residual sum of squares, weight sum, pixels near the outline,
-    pixels there with weight above a half, 1 if usable.
+    of the pixels to use; limits: saturation DN, noise DN for the pixel weights (0: none), the
+    change, px, after which the next step is not worth taking. Residuals and weights are those of
+    the parameters that come back, not of those before the last step. state (n, 12) in and out;
+    information (n, 2, 2) as in `fit_corners`; figures (n, 5): weighted residual
+    sum of squares, weight sum, pixels near the outline, pixels there with
+    weight above a half, 1 if usable.
     """
     n = DISC_PARAMETERS
     normal, right, factor = np.zeros((n, n)), np.zeros(n), np.zeros((n, n))
+    step = np.zeros(n)
     room = _room(state, reach_px)
     pixels, rows = np.zeros((3, room)), np.zeros((n, _BLOCK))
     miss, weight = np.zeros(room), np.ones(room)
@@ -208,26 +274,15 @@ def fit_discs(
         count = _gather_disc(image, points[k], p, reach_px[k], every[k], pixels)
         if count < MIN_PIXELS:
             continue
-        usable, improved, size = True, 0.0, p[2] + p[4]
-        for step in range(iterations):
-            normal[:, :], right[:] = 0.0, 0.0
-            for first in range(0, count, _BLOCK):
-                block = min(_BLOCK, count - first)
-                for at in range(block):
-                    i = first + at
-                    model = _disc_pixel(pixels[0, i], pixels[1, i], p, rows, at)
-                    miss[i] = pixels[2, i] - model
-                    weight[i] = pixel_weight(miss[i], limits[1])
-                    if model >= limits[0] <= pixels[2, i]:
-                        weight[i] = 0.0
-                _add_up(rows, miss[first:], weight[first:], block, normal, right)
-            _hold_blur(p, normal, right)
-            usable, improved, moved_px = advance(normal, right, factor, p)
-            usable = usable and _plausible(p, size)
-            p[11] = min(max(p[11], _LEAST_BLUR_PX), _MOST_BLUR_PX)
-            if not usable or (step > 0 and moved_px < limits[2]):
+        usable, moved_px, size = True, math.inf, p[2] + p[4]
+        for turn in range(iterations + 1):
+            _equations(pixels, count, p, limits, rows, miss, weight, normal, right)
+            if turn == iterations or moved_px < limits[2]:
                 break
-        figures[k, 0] = -improved  # by the last step, which was not evaluated any more
+            usable, moved_px = _advance(normal, right, factor, step, p)
+            usable = usable and _plausible(p, size)
+            if not usable:
+                break
         for i in range(count):
             figures[k, 0] += weight[i] * miss[i] * miss[i]
             figures[k, 1] += weight[i]
