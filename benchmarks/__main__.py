@@ -14,6 +14,7 @@ import cv2
 from benchmarks.accuracy import FRAMES, SLOW_FRAMES, Accuracy, measure_accuracy
 from benchmarks.memory import SETTLED_AT, MemoryUse, measure_memory
 from benchmarks.pair import CONFIG, PAIRS, PairCost, measure_cost
+from benchmarks.record import ROWS, RecordCost, measure_record
 from benchmarks.status import SLOTS, StatusCost, measure_status
 from daemon.config.reading import load_config
 
@@ -31,12 +32,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("--output", type=Path, metavar="FILE", help="Markdown page to write")
     parser.add_argument("--slots", type=int, default=1000, help="slots of the memory run")
+    parser.add_argument("--rows", type=int, default=ROWS, help="rows of the long record")
     options = parser.parse_args()
     memory, status = measure_memory(options.slots), measure_status()
+    record = measure_record(options.rows)
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     cv2.setNumThreads(1)
     pair, accuracies = measure_cost(), measure_accuracy(load_config(CONFIG).site())
-    text = page(pair, accuracies, memory, status)
+    text = page(pair, accuracies, memory, status, record)
     print(text)
     if options.output:
         options.output.write_text(text + soak_section(options.output), encoding="utf-8")
@@ -50,11 +53,16 @@ def soak_section(path: Path) -> str:
 
 
 def page(
-    pair: PairCost, accuracies: tuple[Accuracy, ...], memory: MemoryUse, status: StatusCost
+    pair: PairCost,
+    accuracies: tuple[Accuracy, ...],
+    memory: MemoryUse,
+    status: StatusCost,
+    record: RecordCost,
 ) -> str:
     """Write the results as one Markdown page."""
     rows = [row for accuracy in accuracies for row in accuracy_rows(accuracy)]
     rows += [*time_rows(pair, accuracies[0]), memory_row(memory), status_row(status)]
+    rows += record_rows(record)
     table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
     libraries = ", ".join(f"{name} {version(name)}" for name in LIBRARIES)
     return f"""# Benchmarks
@@ -103,6 +111,10 @@ displacement corrected with a calibration from rendered views was wrong by
 **Memory**: `dcamd` on the small simulated rig of `benchmarks/small.toml`, {memory.slots} slots with
 all they write, in {memory.seconds:.0f} s; resident memory then and after {SETTLED_AT} slots, when
 every cache has been filled. Growth: {memory.growth_kb_per_slot:.2f} kB a slot.
+
+**A long record**: whole commands on {record.rows} rows and their gaps, against a process in which
+Python's `sqlite3` fetches all columns of the rows, and no more: a row's checksum is of all of them.
+CPU time; the memory is the most that was resident. `python -m benchmarks.record` runs these alone.
 """
 
 
@@ -145,6 +157,13 @@ def status_row(status: StatusCost) -> Row:
         f"{1e3 * status.status_s:.0f} ms",
         f"{1e3 * status.nothing_s:.0f} ms",
     )
+
+
+def record_rows(record: RecordCost) -> Iterator[Row]:
+    """Rows on a record of years."""
+    for name, cost in record.commands.items():
+        what = f"time of `{name}`, {record.rows} rows, {cost.peak_mb:.0f} MB: fetching them"
+        yield row(what, cost.cpu_s, record.fetch.cpu_s, lambda x: f"{x:.1f} s")
 
 
 def memory_row(memory: MemoryUse) -> Row:

@@ -7,6 +7,8 @@ file system must order a rename before the directory sync that follows it (ext4,
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -34,16 +36,25 @@ def make_directory_durable(directory: Path) -> None:
 
 
 def write_durable(path: Path, data: bytes) -> None:
-    """Write a whole file: temporary name, sync, rename, sync of the directory.
+    """Write a whole file: either the old one (or none) or the new one is there at any instant.
 
-    Either the old file (or none) or the complete new one is there at any instant. Raises OSError.
+    Raises OSError.
+    """
+    with replacing(path) as temporary:
+        temporary.write_bytes(data)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a name to write to: temporary name, sync, rename, sync of the directory.
+
+    When the block ends the file is there under its own name, whole and durable; when it raises, the
+    old one (or none) still is. Raises OSError.
     """
     temporary = temporary_name(path)
     try:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
+        yield temporary
+        fsync_file(temporary)
         temporary.replace(path)
     except BaseException:
         temporary.unlink(missing_ok=True)

@@ -6,7 +6,11 @@ TEXT in UTC, so that any SQLite tool reads them and their order is the order of 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
+
+import numpy as np
+import numpy.typing as npt
 
 
 def slot_text(slot_utc: datetime) -> str:
@@ -26,3 +30,9 @@ def instant_text(time_utc: datetime) -> str:
         msg = f"not a moment in UTC (no time zone): {time_utc.isoformat()}"
         raise ValueError(msg)
     return time_utc.astimezone(UTC).replace(tzinfo=None).isoformat(timespec="microseconds") + "Z"
+
+
+def utc_array(texts: Sequence[str | None]) -> npt.NDArray[np.datetime64]:
+    """(n,) of times as written here, to the microsecond; NaT for None."""
+    plain = ["NaT" if text is None else text.removesuffix("Z") for text in texts]
+    return np.array(plain, dtype="datetime64[us]")

@@ -28,8 +28,9 @@ from daemon.commands.status import print_status
 from daemon.config.reading import Installation, find_installation
 from daemon.devices import open_clock, open_simulated_rig
 from daemon.errors import UsageError, WorkFailedError
-from daemon.reports.figure import draw, require_matplotlib, series_of
+from daemon.reports.figure import draw, require_matplotlib
 from daemon.reports.history import gap_spans
+from daemon.reports.series import series_of
 from daemon.status.coverage import coverage_text
 from daemon.status.facts import collect_facts
 from daemon.status.verdict import judge
@@ -172,7 +173,7 @@ def truth_mm(site: Installation, rows: Sequence[MeasurementRecord]) -> FloatArra
 def errors_of(rows: Sequence[MeasurementRecord], true_mm: FloatArray) -> list[Errors]:
     """Errors of the main camera alone, and of the corrected values by their flags."""
     series = series_of([(row.slot_utc, row.measurement) for row in rows])
-    good = np.array([flag is Flag.GOOD for flag in series.flags])
+    good = np.array([row.measurement.flag is Flag.GOOD for row in rows])
     return [
         _errors("raw", series.raw_mm - true_mm),
         _errors("corrected", series.corrected_mm - true_mm),

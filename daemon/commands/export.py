@@ -16,11 +16,11 @@ from daemon.commands.options import (
     pass_options,
     span_options,
 )
-from daemon.commands.output import Steps, note, progress
+from daemon.commands.output import note, progress
+from daemon.commands.output_files import new_file, opened_table
 from daemon.errors import UsageError
-from daemon.reports.table import opened_output, replacing, write_records
+from daemon.store.columns import Columns
 from daemon.store.database import ALWAYS, NEVER, open_store_readonly
-from daemon.store.records import MeasurementRecord
 
 
 @click.command(
@@ -33,7 +33,7 @@ from daemon.store.records import MeasurementRecord
     type=click.Choice(["csv", "parquet", "netcdf"]),
     default="csv",
     show_default=True,
-    help="What to write; parquet needs dcam's extra of that name.",
+    help="What to write; parquet and netcdf need dcam's extra of that name.",
 )
 @output_option
 @common_options
@@ -45,46 +45,41 @@ def command(
     file_format: str,
     output: Path | None,
 ) -> None:
-    """Write measurements, one line a slot, with everything that a row knows.
+    """Write every slot, one line each, with everything that its row knows; gaps too.
 
-    flag: 1 good, 3 suspect (value given, reason named), 4 bad (value withheld), 9 missing.
-    The daemon may run meanwhile.
+    flag: 1 good, 3 suspect (value given, reason named), 4 bad (value withheld), 9 missing. A slot
+    in a gap has flag 9, the gap's cause as its reason, and in detail what else is known of it.
+    docs/columns.md explains every column. The daemon may run meanwhile.
     """
+    from daemon.reports.slot_table import slot_table
+
+    span = (since or ALWAYS, until or NEVER)
     # A table on stdout is seen to go on; a bar would be in its way.
     telling = nullcontext(None) if output is None else progress(None, "exporting rows")
     with open_store_readonly(options.state) as store, telling as steps:
-        records = _counted(store.measurements(since or ALWAYS, until or NEVER), steps)
+        slots = slot_table(store, *span, steps.at if steps else lambda _done, _total: None)
         if file_format == "csv":
-            with opened_output(output) as table:
-                count = write_records(records, table)
+            from daemon.reports.table import write_slots
+
+            with opened_table(output) as table:
+                count = write_slots(slots, table)
         else:
-            count = _write_file(file_format, records, output, options)
+            count = _write_file(file_format, slots, output, options)
     if output is not None:
         note(f"{count} rows written to {output}")
 
 
-def _counted(
-    records: Iterable[MeasurementRecord], steps: Steps | None
-) -> Iterator[MeasurementRecord]:
-    """The records, and word of how many there were so far."""
-    for number, record in enumerate(records):
-        if steps is not None and number % 1000 == 0:
-            steps.at(number, None)
-        yield record
-
-
 def _write_file(
-    file_format: str,
-    records: Iterator[MeasurementRecord],
-    output: Path | None,
-    options: Options,
+    file_format: str, slots: Iterator[Columns], output: Path | None, options: Options
 ) -> int:
-    from daemon.reports.files import write_netcdf, write_parquet
-
     if output is None:
         msg = f"--format {file_format} writes a file: give --output FILE"
         raise UsageError(msg)
-    with replacing(output) as temporary:
+    with new_file(output) as temporary:
         if file_format == "parquet":
-            return write_parquet(records, temporary)
-        return write_netcdf(records, temporary, options.config.name)
+            from daemon.reports.files import write_parquet
+
+            return write_parquet(slots, temporary)
+        from daemon.reports.netcdf import write_netcdf
+
+        return write_netcdf(slots, temporary, options.config.name)

@@ -8,9 +8,9 @@ from pathlib import Path
 import click
 
 from daemon.commands.options import Options, common_options, pass_options, span_options
-from daemon.commands.output import note
+from daemon.commands.output import note, progress
+from daemon.commands.output_files import new_file
 from daemon.errors import UsageError
-from daemon.reports.table import replacing
 from daemon.status.coverage import coverage_text
 from daemon.store.database import open_store_readonly
 
@@ -31,8 +31,8 @@ SUFFIXES = (".png", ".svg")
 def command(options: Options, since: datetime | None, until: datetime | None, output: Path) -> None:
     """Draw raw and corrected displacement with sigma and flags, the rig's motion, and the gaps.
 
-    Of a long span every so-manieth row is drawn, and the title says so. The daemon may run
-    meanwhile. Needs dcam's extra `plot`.
+    Of a long span the lowest and the highest value of each column of the picture are drawn, so that
+    every peak shows. The daemon may run meanwhile. Needs dcam's extra `plot`.
     """
     from daemon.reports.figure import draw, require_matplotlib
     from daemon.reports.history import gap_spans, read_history
@@ -42,13 +42,17 @@ def command(options: Options, since: datetime | None, until: datetime | None, ou
         raise UsageError(msg)
     require_matplotlib()
     schedule = options.config.schedule
-    with open_store_readonly(options.state) as store:
+    with open_store_readonly(options.state) as store, progress(0, "rows") as steps:
         history = read_history(
-            store, since, until, period_s=schedule.period_s, offset_s=schedule.offset_s
+            store,
+            since,
+            until,
+            period_s=schedule.period_s,
+            offset_s=schedule.offset_s,
+            tell=steps.at,
         )
-    thinned = f", every {history.every}th row" if history.every > 1 else ""
-    title = f"{options.config.name}: displacement of the target{thinned}"
-    with replacing(output) as temporary:
+    title = f"{options.config.name}: displacement of the target"
+    with new_file(output) as temporary:
         draw(
             history.series,
             gap_spans(history.gaps),

@@ -8,8 +8,8 @@ from pathlib import Path
 import click
 
 from daemon.commands.options import Options, common_options, pass_options, span_options
-from daemon.commands.output import note
-from daemon.reports.table import replacing
+from daemon.commands.output import note, progress
+from daemon.commands.output_files import new_file
 from daemon.status.coverage import coverage_text
 from daemon.store.database import open_store_readonly
 
@@ -36,11 +36,16 @@ def command(options: Options, since: datetime | None, until: datetime | None, ou
     from daemon.reports.page import render
 
     schedule = options.config.schedule
-    with open_store_readonly(options.state) as store:
+    with open_store_readonly(options.state) as store, progress(0, "rows") as steps:
         history = read_history(
-            store, since, until, period_s=schedule.period_s, offset_s=schedule.offset_s
+            store,
+            since,
+            until,
+            period_s=schedule.period_s,
+            offset_s=schedule.offset_s,
+            tell=steps.at,
         )
         page = render(options.installation, store, history)
-    with replacing(output) as temporary:
+    with new_file(output) as temporary:
         temporary.write_text(page, encoding="utf-8")
     note(f"{output}: {coverage_text(history.coverage)}")

@@ -23,9 +23,10 @@ from daemon.commands.options import (
     span_options,
 )
 from daemon.commands.output import note, print_json, progress
+from daemon.commands.output_files import opened_table
 from daemon.config.reading import Config
 from daemon.errors import DatabaseMissingError, UsageError, WorkFailedError
-from daemon.reports.table import opened_output, write_results
+from daemon.reports.table import write_results
 from daemon.slots.measuring import ActiveCalibration, PairFiles, load_pairs, measure, read_pair
 from daemon.slots.row_history import RowHistory
 from daemon.store.database import NEVER, open_store_readonly
@@ -187,7 +188,7 @@ def tell(
 ) -> None:
     """Write the table and a summary of the flags; with `--json` the rows on stdout."""
     if output is not None or not as_json:
-        with opened_output(output) as table:
+        with opened_table(output) as table:
             bursts = any(measurement.spread_mm is not None for _, measurement in results)
             write_results(results, table, bursts=bursts)
     if as_json:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import importlib.util
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from datetime import datetime
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from core.arrays import FloatArray
-from core.results import Flag, Measurement
+from daemon.reports.series import Series
+from daemon.text import span_text
 from drivers.errors import MissingLibraryError
 
 if TYPE_CHECKING:
@@ -22,25 +22,8 @@ if TYPE_CHECKING:
 RAW, CORRECTED, TRUE, SUSPECT, BAD = "#9a9a9a", "#0072b2", "#111111", "#e69f00", "#d55e00"
 AXES = ("#0072b2", "#e69f00", "#009e73")
 
-
-@dataclass(frozen=True, slots=True)
-class Series:
-    """What the figure shows, slot by slot; NaN where there is no value."""
-
-    times: tuple[datetime, ...]
-    flags: tuple[Flag, ...]
-    raw_mm: FloatArray
-    """(n, 2) x, y of the main camera alone."""
-    corrected_mm: FloatArray
-    """(n, 2)."""
-    sigma_mm: FloatArray
-    """(n, 2) 1 sigma of `corrected_mm`."""
-    rotation_mrad: FloatArray
-    """(n, 3)."""
-    translation_mm: FloatArray
-    """(n, 3)."""
-    true_mm: FloatArray | None = None
-    """(n, 2) true displacement, where a simulation knows it."""
+_EPOCH = np.datetime64(0, "us")
+"""What matplotlib counts its days from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,35 +33,6 @@ class GapSpan:
     start: datetime
     end: datetime
     cause: str
-
-
-def series_of(
-    rows: Sequence[tuple[datetime, Measurement]], true_mm: FloatArray | None = None
-) -> Series:
-    """Put measurements into arrays."""
-    measured = [measurement for _, measurement in rows]
-    none = (math.nan, math.nan, math.nan)
-
-    def column(values: list[Any], width: int) -> FloatArray:
-        return np.array(values, dtype=np.float64).reshape(-1, width)
-
-    return Series(
-        times=tuple(when for when, _ in rows),
-        flags=tuple(m.flag for m in measured),
-        raw_mm=column([m.raw.mm if m.raw else none[:2] for m in measured], 2),
-        corrected_mm=column([m.corrected.mm if m.corrected else none[:2] for m in measured], 2),
-        sigma_mm=column(
-            [
-                np.sqrt(np.diag(m.corrected.covariance_mm2)) if m.corrected else none[:2]
-                for m in measured
-            ],
-            2,
-        ),
-        rotation_mrad=1e3
-        * column([m.motion.rotation_rad if m.motion else none for m in measured], 3),
-        translation_mm=column([m.motion.translation_mm if m.motion else none for m in measured], 3),
-        true_mm=true_mm,
-    )
 
 
 def require_matplotlib() -> None:
@@ -101,7 +55,10 @@ def draw(
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
     from matplotlib.figure import Figure
 
-    series = _broken_at_gaps(series, gaps)
+    if series.bin_s is None:
+        series = _broken_at_gaps(series, gaps)
+    else:
+        title = f"{title}, lowest and highest of every {span_text(series.bin_s)}"
     known = series.true_mm is not None
     figure = Figure(figsize=(11.0, 12.0 if known else 10.0), layout="constrained")
     FigureCanvasAgg(figure)
@@ -125,49 +82,66 @@ def draw(
 
 
 def _broken_at_gaps(series: Series, gaps: Sequence[GapSpan]) -> Series:
-    """Put a row without values into each gap, so that no line is drawn across it."""
-    at = [index for index in (_index_of(series, gap) for gap in gaps) if index]
-    times = list(series.times)
-    flags = list(series.flags)
-    for index in reversed(at):
-        times.insert(index, times[index - 1])
-        flags.insert(index, Flag.MISSING)
+    """Put a point without values into each gap, so that no line is drawn across it."""
+    starts = np.array([_time(gap.start) for gap in gaps], dtype="datetime64[us]")
+    at = np.searchsorted(series.times, starts)
+    at = at[at > 0]
 
     def broken(values: FloatArray) -> FloatArray:
         return np.insert(values, at, np.nan, axis=0)
 
-    return Series(
-        times=tuple(times),
-        flags=tuple(flags),
+    return replace(
+        series,
+        times=np.insert(series.times, at, series.times[at - 1]),
         raw_mm=broken(series.raw_mm),
         corrected_mm=broken(series.corrected_mm),
-        sigma_mm=broken(series.sigma_mm),
+        lower_mm=broken(series.lower_mm),
+        upper_mm=broken(series.upper_mm),
         rotation_mrad=broken(series.rotation_mrad),
         translation_mm=broken(series.translation_mm),
+        suspect_mm=broken(series.suspect_mm),
+        withheld=np.insert(series.withheld, at, values=False),
         true_mm=None if series.true_mm is None else broken(series.true_mm),
     )
 
 
-def _index_of(series: Series, gap: GapSpan) -> int:
-    return sum(when < gap.start for when in series.times)
+def _time(when: datetime) -> np.datetime64:
+    return np.datetime64(when.astimezone(UTC).replace(tzinfo=None), "us")
 
 
 def _displacement(panel: Axes, series: Series, axis: int, label: str) -> None:
-    times: Any = list(series.times)
-    value, sigma = series.corrected_mm[:, axis], series.sigma_mm[:, axis]
-    panel.plot(times, series.raw_mm[:, axis], color=RAW, linewidth=1.0, label="raw")
+    times: Any = series.times
+    _line(panel, series, series.raw_mm[:, axis], color=RAW, linewidth=1.0, label="raw")
     if series.true_mm is not None:
         panel.plot(times, series.true_mm[:, axis], color=TRUE, linestyle="--", label="true")
-    panel.plot(times, value, color=CORRECTED, linewidth=1.4, label="corrected")
+    corrected_mm = series.corrected_mm[:, axis]
+    _line(panel, series, corrected_mm, color=CORRECTED, linewidth=1.4, label="corrected")
     panel.fill_between(
-        times, value - sigma, value + sigma, color=CORRECTED, alpha=0.25, label="± 1 sigma"
+        times,
+        series.lower_mm[:, axis],
+        series.upper_mm[:, axis],
+        color=CORRECTED,
+        alpha=0.25,
+        label="± 1 sigma",
     )
-    _mark_flags(panel, series, value)
+    _mark_flags(panel, series, axis)
     panel.set_ylabel(label)
 
 
+def _line(panel: Axes, series: Series, values: FloatArray, **style: Any) -> None:
+    """Draw a line, and as dots the values that stand alone, which a line does not show."""
+    times: Any = series.times
+    panel.plot(times, values, **style)
+    known = np.isfinite(values)
+    differs = np.diff(values, prepend=np.nan) != 0.0
+    joined = known & (np.roll(known, 1) & differs | np.roll(known & differs, -1))
+    alone = known & ~joined
+    if alone.any():
+        panel.plot(times[alone], values[alone], ".", color=style["color"], markersize=2.0)
+
+
 def _error(panel: Axes, series: Series) -> None:
-    times: Any = list(series.times)
+    times: Any = series.times
     true = series.true_mm
     if true is None:
         return
@@ -181,24 +155,25 @@ def _error(panel: Axes, series: Series) -> None:
 
 
 def _motion(panel: Axes, series: Series, values: FloatArray, label: str, symbol: str) -> None:
-    times: Any = list(series.times)
     for axis, name in enumerate("xyz"):
-        panel.plot(times, values[:, axis], color=AXES[axis], linewidth=1.2, label=f"{symbol}{name}")
+        style = {"color": AXES[axis], "linewidth": 1.2, "label": f"{symbol}{name}"}
+        _line(panel, series, values[:, axis], **style)
     panel.set_ylabel(f"rig {label}")
 
 
-def _mark_flags(panel: Axes, series: Series, value: FloatArray) -> None:
+def _mark_flags(panel: Axes, series: Series, axis: int) -> None:
     """Mark suspect values where they are, and withheld ones on the panel's lower edge."""
-    suspect = [i for i, flag in enumerate(series.flags) if flag is Flag.SUSPECT]
-    bad = [i for i, flag in enumerate(series.flags) if flag is Flag.BAD]
-    if suspect:
-        times: Any = [series.times[i] for i in suspect]
-        panel.plot(times, value[suspect], "o", color=SUSPECT, fillstyle="none", label="suspect")
-    if bad:
-        times = [series.times[i] for i in bad]
+    times: Any = series.times
+    suspect_mm = series.suspect_mm[:, axis]
+    suspect = np.isfinite(suspect_mm)
+    if suspect.any():
+        at, mm = times[suspect], suspect_mm[suspect]
+        panel.plot(at, mm, "o", color=SUSPECT, fillstyle="none", label="suspect")
+    if series.withheld.any():
+        bad = times[series.withheld]
         panel.plot(
-            times,
-            [0.03] * len(bad),
+            bad,
+            np.full(len(bad), 0.03),
             "x",
             color=BAD,
             markersize=6,
@@ -208,10 +183,16 @@ def _mark_flags(panel: Axes, series: Series, value: FloatArray) -> None:
 
 
 def _mark_gaps(panel: Axes, gaps: Sequence[GapSpan]) -> None:
-    named: set[str] = set()
-    for gap in gaps:
-        label = f"gap: {gap.cause}" if gap.cause not in named else None
-        named.add(gap.cause)
-        start: Any = gap.start
-        end: Any = gap.end
-        panel.axvspan(start, end, color=BAD, alpha=0.15, linewidth=0, label=label)
+    """Shade the gaps, those of one cause as one object: a season has thousands."""
+    day = np.timedelta64(1, "D")
+    for cause in dict.fromkeys(gap.cause for gap in gaps):
+        spans = [(_time(gap.start), _time(gap.end)) for gap in gaps if gap.cause == cause]
+        panel.broken_barh(
+            [((start - _EPOCH) / day, (end - start) / day) for start, end in spans],
+            (0.0, 1.0),
+            transform=panel.get_xaxis_transform(),
+            facecolor=BAD,
+            alpha=0.15,
+            linewidth=0,
+            label=f"gap: {cause}",
+        )

@@ -3,112 +3,90 @@
 from __future__ import annotations
 
 import csv
-import sys
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
-from pathlib import Path
-from typing import TextIO
+from itertools import islice
+from typing import Any, TextIO
+
+import numpy as np
 
 from core.results import Measurement
-from daemon.durable import fsync_directory, fsync_file, temporary_name
-from daemon.store.checksum import DIGEST
+from daemon.reports.slot_table import COLUMNS, kind_of_column
+from daemon.store.columns import BATCH, Columns
 from daemon.store.convert import BURST_COLUMNS, RESULT_COLUMNS, measurement_columns
 from daemon.store.records import MeasurementRecord
-from daemon.store.schema import MeasurementRow
-from daemon.times import instant_text, slot_text
+from daemon.times import slot_text
 
-EXTRA_COLUMNS = tuple(
-    column.name
-    for column in MeasurementRow.__table__.columns
-    if column.name not in {"id", DIGEST, *RESULT_COLUMNS}
-)
-"""What `export` adds, in the order of the database."""
+DECIMALS = {
+    "mm": 6,
+    "mm2": 12,
+    "rad": 9,
+    "px": 6,
+    "dn": 3,
+    "s": 6,
+    "us": 3,
+    "db": 4,
+    "c": 4,
+}
+"""Of numbers, by the unit that their names end in: a thousandth of what noise hides, or less."""
 
-SLOTS = {"slot_utc", "redated_from_utc"}
+_TRUTHS = {None: "", 0: "false", 1: "true"}
 
 
 def write_results(
     results: Iterable[tuple[datetime, Measurement]], output: TextIO, *, bursts: bool = False
 ) -> int:
-    """Write slots and what was measured in them, line by line; give the number of rows.
+    """Write slots and what was measured in them; give the number of rows.
 
     `bursts` appends the columns of slots with several pairs.
     """
-    records = (
-        MeasurementRecord(slot_utc, measurement, config_hash="", version="")
+    names = RESULT_COLUMNS + (BURST_COLUMNS if bursts else ())
+    rows = (
+        measurement_columns(MeasurementRecord(slot_utc, measurement, config_hash="", version=""))
+        | {"slot_utc": slot_text(slot_utc)}
         for slot_utc, measurement in results
     )
-    return _write(records, RESULT_COLUMNS + (BURST_COLUMNS if bursts else ()), output)
+    table = _Table(output, names)
+    while batch := list(islice(rows, BATCH)):
+        table.write({name: [row.get(name) for row in batch] for name in names})
+    return table.rows
 
 
-def write_records(records: Iterable[MeasurementRecord], output: TextIO) -> int:
-    """Write stored rows with all their columns, line by line; give the number of rows.
+def write_slots(slots: Iterable[Columns], output: TextIO) -> int:
+    """Write every slot of `slot_table` with all its columns; give the number of rows.
 
-    Numbers keep all their digits; what a row does not have is empty.
+    Numbers have the digits that `DECIMALS` says; what a slot does not have is empty.
     """
-    return _write(records, RESULT_COLUMNS + EXTRA_COLUMNS, output)
+    table = _Table(output, COLUMNS)
+    for batch in slots:
+        table.write(batch.values)
+    return table.rows
 
 
-@contextmanager
-def opened_output(path: Path | None) -> Iterator[TextIO]:
-    """Open a file to write a table to, or stdout for None.
+class _Table:
+    """A CSV file that grows by many rows at a time."""
 
-    The file appears, or replaces an older one, complete and durable, or not at all; devices and
-    pipes are written to as they are. Raises OSError.
-    """
-    if path is None:
-        yield sys.stdout
-        sys.stdout.flush()
-    elif path.exists() and not path.is_file():
-        with path.open("w", encoding="utf-8", newline="") as file:
-            yield file
-    else:
-        with (
-            replacing(path) as temporary,
-            temporary.open("w", encoding="utf-8", newline="") as file,
-        ):
-            yield file
+    def __init__(self, output: TextIO, names: Sequence[str]) -> None:
+        self._names, self._lines = names, csv.writer(output, lineterminator="\n")
+        self._lines.writerow(names)
+        self.rows = 0
+
+    def write(self, columns: Mapping[str, Sequence[Any]]) -> None:
+        cells = [_cells(name, columns[name]) for name in self._names]
+        self._lines.writerows(zip(*cells, strict=True))
+        self.rows += len(cells[0])
 
 
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Give a name to write to; the file appears complete and durable, or not at all.
-
-    Raises OSError.
-    """
-    path = path.resolve()  # a link is followed, not replaced
-    temporary = temporary_name(path)
-    try:
-        temporary.touch()
-    except OSError as error:
-        error.filename = str(path.parent)  # what stands in the way; nobody knows the other name
-        raise
-    try:
-        yield temporary
-        fsync_file(temporary)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    fsync_directory(path.parent)
+def _cells(name: str, values: Sequence[Any]) -> Sequence[str]:
+    kind = kind_of_column(name)
+    if kind == "real":
+        return _real_cells(values, DECIMALS[name.rpartition("_")[2]])
+    if kind == "truth":
+        return [_TRUTHS[value] for value in values]
+    return ["" if value is None else str(value) for value in values]
 
 
-def _write(records: Iterable[MeasurementRecord], columns: tuple[str, ...], output: TextIO) -> int:
-    table = csv.writer(output, lineterminator="\n")
-    table.writerow(columns)
-    count = 0
-    for record in records:
-        row = measurement_columns(record)
-        table.writerow([_cell(name, row.get(name)) for name in columns])
-        count += 1
-    return count
-
-
-def _cell(name: str, value: object) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, datetime):
-        return slot_text(value) if name in SLOTS else instant_text(value)
-    return repr(value) if isinstance(value, float) else str(value)
+def _real_cells(values: Sequence[float | None], decimals: int) -> list[str]:
+    numbers = np.round(np.array(values, dtype=np.float64), decimals) + 0.0  # no -0.0
+    pairs = zip(values, numbers.tolist(), strict=True)
+    return ["" if value is None else repr(number) for value, number in pairs]

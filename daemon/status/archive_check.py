@@ -10,8 +10,7 @@ from pathlib import Path
 
 from daemon.store.frames.archive import FrameArchive
 from daemon.store.frames.table import pairs, sha256
-from daemon.store.salvage.damage import any_text
-from daemon.store.sqlite import connect_readonly, said_plainly
+from daemon.store.sqlite import any_text, connect_readonly, said_plainly
 from daemon.store.verification import Counted, Finding
 from daemon.times import slot_text
 from drivers.errors import FrameSetError

@@ -18,21 +18,26 @@ DIGEST = "digest"
 """The column of every table that holds its row's checksum."""
 
 # No column holds bytes; only damage makes them.
-_encode = json.JSONEncoder(sort_keys=True, separators=(",", ":"), default=repr).encode
+encoded = json.JSONEncoder(sort_keys=True, separators=(",", ":"), default=repr).encode
+"""A value, or a row's values by name, as the digest takes them."""
 
 
 def row_digest(table: str, values: Mapping[str, object]) -> int:
     """The digest of a row: 64 bits, signed, of the values as SQLite holds them."""
     known = {name: value for name, value in values.items() if value is not None and name != DIGEST}
-    content = f"{table}{_encode(known)}".encode()
+    content = f"{table}{encoded(known)}".encode()
     return int.from_bytes(hashlib.blake2b(content, digest_size=8).digest(), "big", signed=True)
 
 
 def require_intact(table: str, values: Mapping[str, object], digest: object) -> None:
     """Raise DamagedRowError unless a row, as SQLite holds it, is what was written."""
     if row_digest(table, values) != digest:
-        msg = f"a row of {table}, {named(values)}, is not what was written"
-        raise DamagedRowError(msg)
+        raise not_as_written(table, values)
+
+
+def not_as_written(table: str, values: Mapping[str, object]) -> DamagedRowError:
+    """The error that names a damaged row."""
+    return DamagedRowError(f"a row of {table}, {named(values)}, is not what was written")
 
 
 def named(values: Mapping[str, object]) -> str:

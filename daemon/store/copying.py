@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from daemon.durable import fsync_directory, fsync_file, temporary_name
+from daemon.durable import fsync_file, replacing
 from daemon.errors import TO_SALVAGE, DatabaseDamagedError, DatabaseUnwritableError, StoreError
 from daemon.store.sqlite import connect_readonly, is_damage, translate
 
@@ -56,28 +56,29 @@ def copy_out(
     tell: Tell = lambda _done, _total: None,
 ) -> Copied:
     """As `backup`, from an open connection: its file may have lost its name, `source`."""
-    temporary = temporary_name(target)
     try:
-        temporary.write_bytes(b"")
-        with closing(sqlite3.connect(temporary, isolation_level=None)) as copy:
-            copy.execute("PRAGMA synchronous=OFF").close()  # synced here, and once complete
-            _copy_pages(original, copy, temporary, tell)
-            # Without a log of its own the copy can be read from a read-only medium.
-            copy.execute("PRAGMA journal_mode=DELETE").close()
-            copied = _checked(source, copy)
-        fsync_file(temporary)
-        temporary.replace(target)
-        fsync_directory(target.parent)
+        with replacing(target) as temporary:
+            return _copy(original, source, temporary, tell)
     except OSError as error:
         msg = f"{target}: cannot write the backup ({error.strerror}): choose another place"
         raise DatabaseUnwritableError(msg) from error
     except sqlite3.Error as error:
         # The copy is new: damage is the original's.
         raise translate(source if is_damage(error) else target, error) from error
+
+
+def _copy(original: sqlite3.Connection, source: Path, temporary: Path, tell: Tell) -> Copied:
+    temporary.write_bytes(b"")
+    try:
+        with closing(sqlite3.connect(temporary, isolation_level=None)) as copy:
+            copy.execute("PRAGMA synchronous=OFF").close()  # synced here, and once complete
+            _copy_pages(original, copy, temporary, tell)
+            # Without a log of its own the copy can be read from a read-only medium.
+            copy.execute("PRAGMA journal_mode=DELETE").close()
+            return _checked(source, copy)
     finally:
-        for leftover in (temporary, *_companions(temporary)):
+        for leftover in _companions(temporary):
             leftover.unlink(missing_ok=True)
-    return copied
 
 
 def _copy_pages(

@@ -277,7 +277,10 @@ class MarkRow(Base):
     value: Mapped[str]
 
 
-def kind_of(column: str) -> Literal["time", "real", "whole", "truth", "text"]:
+Kind = Literal["time", "real", "whole", "truth", "text"]
+
+
+def kind_of(column: str) -> Kind:
     """What a column of `measurement` holds."""
     sql = MeasurementRow.__table__.columns[column].type
     if isinstance(sql, Slot):

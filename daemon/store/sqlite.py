@@ -166,6 +166,11 @@ def translate(path: Path, error: BaseException | None) -> StoreError:
     return StoreError(f"{path}: {error}")
 
 
+def any_text(content: bytes) -> str:
+    """Text that may be damaged: as it is no UTF-8, its row's digest will not fit."""
+    return content.decode(errors="surrogateescape")
+
+
 def is_damage(error: BaseException | None) -> bool:
     """Whether SQLite's error says that the file itself is wrong."""
     return _code(error) in _DAMAGED or _NOT_TEXT in str(error)

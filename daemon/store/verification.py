@@ -20,9 +20,9 @@ from daemon.errors import DamagedRowError
 from daemon.store.accounting import ScheduleEpoch, audit_slots, scheduled
 from daemon.store.overview import Overview
 from daemon.store.runs import slot_at
-from daemon.store.salvage.damage import any_text, program_tables, wrong_rows
+from daemon.store.salvage.damage import program_tables, wrong_rows
 from daemon.store.salvage.salvage import LOST
-from daemon.store.sqlite import connect_readonly, is_damage, said_plainly
+from daemon.store.sqlite import any_text, connect_readonly, is_damage, said_plainly
 from daemon.times import slot_text
 
 SALVAGE = "restart dcamd: it sets the file aside and saves all else"

@@ -24,7 +24,13 @@ from daemon.store.records import Mark
 from daemon.store.revisions import require_known
 from daemon.store.salvage.sqlite_pages import PageFile, RawRow
 from daemon.store.schema import Base
-from daemon.store.sqlite import connect, connect_readonly, is_database_file, said_plainly
+from daemon.store.sqlite import (
+    any_text,
+    connect,
+    connect_readonly,
+    is_database_file,
+    said_plainly,
+)
 
 _log = structlog.get_logger("dcam.daemon")
 
@@ -269,11 +275,6 @@ def wrong_rows(
                 yield f"a row of {table}, {named(row)}, is not what was written"
         after = rows[-1][0]
         tell(len(rows))
-
-
-def any_text(content: bytes) -> str:
-    """Text that may be damaged: as it is no UTF-8, its row's digest will not fit."""
-    return content.decode(errors="surrogateescape")
 
 
 def _forget_cached(path: Path) -> None:

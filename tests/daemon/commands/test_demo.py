@@ -13,7 +13,8 @@ import pytest
 from core.results import Displacement, Flag, Measurement, Reason, RigMotion
 from daemon.commands import demo
 from daemon.config.reading import load_config
-from daemon.reports.figure import GapSpan, draw, series_of
+from daemon.reports.figure import GapSpan, draw
+from daemon.reports.series import series_of
 from tests.daemon.commands.conftest import Ctl
 
 PNG = b"\x89PNG\r\n\x1a\n"

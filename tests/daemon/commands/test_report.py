@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from datetime import timedelta
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-import pyarrow.parquet as pq
 import pytest
-from scipy.io import netcdf_file
 
 from daemon.store.database import open_store
 from daemon.store.records import GapCause
 from tests.daemon.commands.conftest import SIMULATED, Ctl
-from tests.daemon.store.examples import START, calibration, full_record, record, slot
+from tests.daemon.store.examples import calibration, full_record, record, slot
 
 
 @pytest.fixture
@@ -70,16 +67,6 @@ def test_plot_to_another_kind_of_file_is_a_usage_error(site, tmp_path: Path) -> 
     ran = site("plot", "--output", tmp_path / "a.pdf")
     assert ran.code == 2
     assert "ends in .png or .svg" in ran.err
-
-
-def test_export_writes_parquet_and_netcdf(site, tmp_path: Path) -> None:
-    span = ("--until", (START + timedelta(minutes=12)).isoformat())
-    assert site("export", *span, "--format", "parquet", "--output", tmp_path / "a.pq").code == 0
-    assert pq.read_metadata(tmp_path / "a.pq").num_rows == 10
-    assert site("export", *span, "--format", "netcdf", "--output", tmp_path / "a.nc").code == 0
-    with netcdf_file(tmp_path / "a.nc", mmap=False) as file:
-        assert b"".join(file.variables["station"][:]) == b"bench"
-        assert len(file.variables["time"][:]) == 10
 
 
 @pytest.mark.parametrize("file_format", ["parquet", "netcdf"])

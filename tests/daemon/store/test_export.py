@@ -1,4 +1,4 @@
-"""CSV: the agreed columns first, all digits, line by line, whole files only."""
+"""CSV: the agreed columns first, digits that mean something, whole files only."""
 
 from __future__ import annotations
 
@@ -7,14 +7,27 @@ import io
 import os
 import threading
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from core.results import Flag, Measurement, Reason
-from daemon.reports.table import opened_output, write_records, write_results
+from core.results import Displacement, Flag, Measurement, Reason, RigMotion
+from daemon.commands.output_files import opened_table
+from daemon.reports.slot_table import COLUMNS as EXPORTED
+from daemon.reports.slot_table import kind_of_column, slot_table
+from daemon.reports.table import DECIMALS, write_results, write_slots
+from daemon.store.database import ALWAYS, NEVER, open_store
 from daemon.store.records import MeasurementRecord
-from tests.daemon.store.examples import BAD, full_measurement, full_record, record, slot
+from tests.daemon.store.examples import (
+    BAD,
+    calibration,
+    full_measurement,
+    full_record,
+    record,
+    slot,
+)
 
 AGREED = (
     "slot_utc,flag,reasons,x_mm,y_mm,sigma_x_mm,sigma_y_mm,raw_x_mm,raw_y_mm,"
@@ -22,9 +35,16 @@ AGREED = (
 )
 
 
-def written(records: list[MeasurementRecord]) -> list[dict[str, str]]:
+def written(tmp_path: Path, records: list[MeasurementRecord]) -> list[dict[str, str]]:
+    """The records as a store gives them back to `export`."""
     output = io.StringIO()
-    assert write_records(records, output) == len(records)
+    with open_store(tmp_path) as store:
+        if any(record.calibration_id for record in records):
+            store.add_calibration(calibration())
+        for record in records:
+            store.add_measurement(record)
+        slots = slot_table(store, ALWAYS, NEVER, lambda _done, _total: None)
+        assert write_slots(slots, output) == len(records)
     return list(csv.DictReader(io.StringIO(output.getvalue())))
 
 
@@ -49,67 +69,68 @@ def test_a_missing_frame_is_a_row_too() -> None:
     )
 
 
-def test_records_have_the_agreed_columns_first_and_then_everything_else() -> None:
+def test_numbers_have_the_digits_that_mean_something() -> None:
+    """A millionth of a millimetre, a billionth of a radian; no zero has a sign."""
+    covariance = np.eye(2) * (1.0 / 3.0)
+    shift = Displacement(np.array([1.0 / 3.0, -1e-12]), covariance)
+    motion = RigMotion(np.array([1e-4 / 3.0, 0.0, 0.0]), np.array([2.0 / 3.0, 0, 0]), np.eye(6))
     output = io.StringIO()
-    write_records([], output)
-    header = output.getvalue().strip()
-    assert header.startswith(AGREED + ",")
-    (row,) = written([full_record(slot(0), calibration_id=7)])
+    write_results([(slot(0), Measurement(Flag.GOOD, (), shift, None, motion))], output)
+    assert output.getvalue().splitlines()[1] == (
+        "2026-03-01T00:00:00Z,1,,0.333333,0.0,0.57735,0.57735,,,3.3333e-05,0.0,0.0,0.666667,0.0,0.0"
+    )
+
+
+def test_every_number_of_the_database_has_its_digits() -> None:
+    reals = {name.rpartition("_")[2] for name in EXPORTED if kind_of_column(name) == "real"}
+    assert reals == set(DECIMALS)
+
+
+def test_slots_have_the_agreed_columns_first_and_then_everything_else(tmp_path: Path) -> None:
+    row, bad = written(tmp_path, [full_record(slot(0), calibration_id=1), record(slot(1))])
+    assert ",".join(row).startswith(AGREED + ",")
     assert row["captured_utc"] == "2026-03-01T00:00:00.001234Z"
     assert row["main_frame"] == "frames/2026/03/01/000000_main.png"
-    assert (row["calibration_id"], row["config_hash"], row["version"]) == ("7", "c0ffee", "0.1.0")
+    assert (row["calibration_id"], row["config_hash"], row["version"]) == ("1", "c0ffee", "0.1.0")
     assert (row["recorded_late"], row["skew_s"]) == ("true", "-0.0012")
     assert row["redated_from_utc"] == "2023-09-13T00:00:00Z"
     assert (row["uptime_s"], row["clock_synchronised"]) == ("86400.25", "false")
     assert (row["main_temperature_c"], row["sub_exposure_us"]) == ("41.5", "800.25")
     assert (row["discs_found"], row["raw_cov_xy_mm2"]) == ("5", "-0.02")
-    assert all(value != "" for value in row.values())
-    (bad,) = written([record(slot(0))])
+    assert [name for name, value in row.items() if not value] == ["detail"]
     assert (bad["x_mm"], bad["calibration_id"], bad["skew_s"]) == ("", "", "")
-
-
-def test_rows_are_written_as_they_come(tmp_path: Path) -> None:
-    """Years of rows never stand in memory together."""
-    output = io.StringIO()
-
-    def rows() -> Iterator[MeasurementRecord]:
-        for number in range(3):
-            assert output.getvalue().count("\n") == number + 1
-            yield record(slot(number))
-
-    assert write_records(rows(), output) == 3
 
 
 def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     target = tmp_path / "out.csv"
     target.write_text("an older export")
 
-    def rows() -> Iterator[MeasurementRecord]:
-        yield record(slot(0))
+    def rows() -> Iterator[tuple[datetime, Measurement]]:
+        yield slot(0), BAD
         assert target.read_text() == "an older export"
         msg = "half way"
         raise RuntimeError(msg)
 
-    with pytest.raises(RuntimeError, match="half way"), opened_output(target) as output:
-        write_records(rows(), output)
+    with pytest.raises(RuntimeError, match="half way"), opened_table(target) as output:
+        write_results(rows(), output)
     assert [path.name for path in tmp_path.iterdir()] == ["out.csv"]
     assert target.read_text() == "an older export"
-    with opened_output(target) as output:
-        write_records([record(slot(0))], output)
+    with opened_table(target) as output:
+        write_results([(slot(0), BAD)], output)
     assert target.read_text().startswith(AGREED)
     assert [path.name for path in tmp_path.iterdir()] == ["out.csv"]
 
 
 def test_a_link_is_followed(tmp_path: Path) -> None:
     (tmp_path / "link.csv").symlink_to(tmp_path / "out.csv")
-    with opened_output(tmp_path / "link.csv") as output:
+    with opened_table(tmp_path / "link.csv") as output:
         output.write("text")
     assert (tmp_path / "link.csv").is_symlink()
     assert (tmp_path / "out.csv").read_text() == "text"
 
 
 def test_no_path_is_stdout(capsys: pytest.CaptureFixture[str]) -> None:
-    with opened_output(None) as output:
+    with opened_table(None) as output:
         write_results([], output)
     assert capsys.readouterr().out == AGREED + "\n"
 
@@ -120,7 +141,7 @@ def test_a_pipe_is_written_to_and_stays_a_pipe(tmp_path: Path) -> None:
     received: list[str] = []
     reader = threading.Thread(target=lambda: received.append(pipe.read_text()))
     reader.start()
-    with opened_output(pipe) as output:
+    with opened_table(pipe) as output:
         write_results([], output)
     reader.join(timeout=10.0)
     assert received == [AGREED + "\n"]

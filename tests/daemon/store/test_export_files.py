@@ -2,51 +2,100 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
+import h5netcdf
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from scipy.io import netcdf_file
 
-from daemon.reports.files import BATCH, write_netcdf, write_parquet
-from tests.daemon.store.examples import START, full_record, record, slot
+from daemon.reports.files import write_parquet
+from daemon.reports.netcdf import write_netcdf
+from daemon.reports.slot_table import COLUMNS, kind_of_column, slot_table
+from daemon.store.columns import Columns
+from daemon.store.database import ALWAYS, NEVER, open_store
+from daemon.store.records import GapCause
+from tests.daemon.store.examples import START, calibration, full_record, record, slot
 
 
-def test_parquet_has_every_column_with_its_type(tmp_path: Path) -> None:
-    rows = [full_record(slot(0), calibration_id=7), record(slot(1))]
-    assert write_parquet(iter(rows), tmp_path / "a.parquet") == 2
-    full, bare = pq.read_table(tmp_path / "a.parquet").to_pylist()
+@pytest.fixture
+def slots(tmp_path: Path) -> Iterator[Iterator[Columns]]:
+    """A row with everything, one with nothing, a slot in a gap."""
+    with open_store(tmp_path / "state") as store:
+        store.add_calibration(calibration())
+        store.add_measurement(full_record(slot(0), calibration_id=1))
+        store.add_measurement(record(slot(1)))
+        store.record_gap(slot(2), slot(2), GapCause.POWER_LOSS, "the plug", period_s=60)
+        yield slot_table(store, ALWAYS, NEVER, lambda _done, _total: None)
+
+
+def test_parquet_has_every_column_with_its_type(slots: Iterator[Columns], tmp_path: Path) -> None:
+    assert write_parquet(slots, tmp_path / "a.parquet") == 3
+    full, bare, missed = pq.read_table(tmp_path / "a.parquet").to_pylist()
     assert (full["slot_utc"], bare["slot_utc"]) == (slot(0), slot(1))
-    assert full["captured_utc"] == rows[0].captured_utc
+    assert full["captured_utc"] == full_record(slot(0)).captured_utc
     assert (full["flag"], full["x_mm"], full["sub_exposure_us"]) == (3, 0.1, 800.25)
     assert full["reasons"] == "too_dark+main_target_partly_hidden"
-    assert (full["recorded_late"], full["calibration_id"]) == (True, 7)
+    assert (full["recorded_late"], full["calibration_id"]) == (True, 1)
     assert (bare["x_mm"], bare["calibration_id"]) == (None, None)
+    known = {name: value for name, value in missed.items() if value is not None}
+    assert known == {"slot_utc": slot(2), "flag": 9, "reasons": "power_loss", "detail": "the plug"}
 
 
-def test_parquet_of_more_rows_than_stand_in_memory(tmp_path: Path) -> None:
-    count = BATCH + 3
-    written = write_parquet((record(slot(n)) for n in range(count)), tmp_path / "a.parquet")
-    assert written == pq.read_metadata(tmp_path / "a.parquet").num_rows == count
+def test_netcdf_is_a_cf_time_series_with_flag_meanings(
+    slots: Iterator[Columns], tmp_path: Path
+) -> None:
+    assert write_netcdf(slots, tmp_path / "a.nc", "pier-3") == 3
+    with h5netcdf.File(tmp_path / "a.nc") as file:
+        assert file.attrs["Conventions"].startswith("CF-")
+        assert file.attrs["featureType"] == "timeSeries"
+        assert file["station"][...].item().decode() == "pier-3"
+        assert file["station"].attrs["cf_role"] == "timeseries_id"
+        times = file["time"]
+        assert times.attrs["units"] == "seconds since 1970-01-01 00:00:00 UTC"
+        assert times[...].tolist() == [START.timestamp() + 60 * k for k in range(3)]
+        assert file["flag"].attrs["flag_values"].tolist() == [1, 3, 4, 9]
+        assert file["flag"].attrs["flag_meanings"] == "good suspect bad missing"
+        assert file["flag"][...].tolist() == [3, 4, 9]
+        assert file["x_mm"][...].tolist()[0] == 0.1
+        assert np.isnan(file["x_mm"][...][1:]).all()
+        assert file["x_mm"].attrs["ancillary_variables"] == "flag reasons sigma_x_mm"
+        assert file["raw_y_mm"].attrs["ancillary_variables"] == "flag reasons raw_sigma_y_mm"
+        assert [text.decode() for text in file["reasons"][...]] == [
+            "too_dark+main_target_partly_hidden",
+            "main_target_not_found",
+            "power_loss",
+        ]
+        late = file["recorded_late"]
+        assert late[...].tolist() == [1, 0, late.attrs["_FillValue"]]
 
 
-def test_netcdf_is_a_cf_time_series_with_flag_meanings(tmp_path: Path) -> None:
-    rows = [full_record(slot(0), calibration_id=7), record(slot(1))]
-    assert write_netcdf(iter(rows), tmp_path / "a.nc", "pier-3") == 2
-    with netcdf_file(tmp_path / "a.nc", mmap=False) as file:
-        assert file.Conventions.startswith(b"CF-")
-        assert file.featureType == b"timeSeries"
-        found = file.variables
-        assert b"".join(found["station"][:]) == b"pier-3"
-        assert found["station"].cf_role == b"timeseries_id"
-        assert found["time"].units == b"seconds since 1970-01-01 00:00:00 UTC"
-        assert found["time"][:].tolist() == [START.timestamp(), START.timestamp() + 60]
-        assert found["flag"].flag_values.tolist() == [1, 3, 4, 9]
-        assert found["flag"].flag_meanings == b"good suspect bad missing"
-        assert found["flag"][:].tolist() == [3, 4]
-        assert found["x_mm"].units == b"mm"
-        assert found["x_mm"][0] == pytest.approx(0.1, abs=0)
-        assert np.isnan(found["x_mm"][1])
-        assert b"".join(found["reasons"][0]).rstrip(b"\0") == b"too_dark+main_target_partly_hidden"
-        assert found["x_mm"].ancillary_variables == b"flag reasons sigma_x_mm"
+def test_every_netcdf_variable_says_what_it_is_and_has_its_cf_unit(
+    slots: Iterator[Columns], tmp_path: Path
+) -> None:
+    """Unit by unit, as UDUNITS knows them; what is no quantity has none."""
+    write_netcdf(slots, tmp_path / "a.nc", "pier-3")
+    by_ending = {
+        "mm": "mm", "mm2": "mm2", "rad": "rad", "s": "s", "us": "us", "db": "dB", "c": "degC",
+        "px": "1", "dn": "1",
+    }  # fmt: skip
+    with h5netcdf.File(tmp_path / "a.nc") as file:
+        for name in COLUMNS:
+            attributes = file["time" if name == "slot_utc" else name].attrs
+            assert len(attributes["long_name"]) > 10
+            kind, unit = kind_of_column(name), attributes.get("units")
+            if kind == "real":
+                assert unit == by_ending[name.rpartition("_")[2]], name
+            elif kind == "time":
+                assert str(unit).startswith("seconds since"), name
+            elif kind == "whole" and name != "flag":
+                assert unit == "1", name
+            else:
+                assert unit is None, name
+
+
+def test_an_empty_record_is_an_empty_table(tmp_path: Path) -> None:
+    assert write_parquet(iter(()), tmp_path / "a.parquet") == 0
+    assert write_netcdf(iter(()), tmp_path / "a.nc", "pier-3") == 0
+    assert pq.read_table(tmp_path / "a.parquet").column_names == list(COLUMNS)

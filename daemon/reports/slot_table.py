@@ -1,0 +1,102 @@
+"""The table that `export` writes: every slot once, measured or in a gap, many at a time."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Iterator, Sequence
+from datetime import datetime
+from heapq import merge
+from typing import Any
+
+from core.results import Flag
+from daemon.store.checksum import DIGEST
+from daemon.store.columns import BATCH, Columns, Tell, read_columns
+from daemon.store.convert import RESULT_COLUMNS
+from daemon.store.database import Store
+from daemon.store.records import GapRecord
+from daemon.store.runs import next_second, run_between, slot_at, unix_s
+from daemon.store.schema import Kind, MeasurementRow, kind_of
+from daemon.times import slot_text
+
+DETAIL = "detail"
+"""The last column: what is known of a gap beyond its cause."""
+
+EXTRA_COLUMNS = tuple(
+    column.name
+    for column in MeasurementRow.__table__.columns
+    if column.name not in {"id", DIGEST, *RESULT_COLUMNS}
+)
+"""What `export` adds to the columns of `reprocess`, in the order of the database."""
+
+COLUMNS = (*RESULT_COLUMNS, *EXTRA_COLUMNS, DETAIL)
+
+Missed = tuple[str, str, str]
+"""A slot in a gap: slot, cause, detail."""
+
+
+def slot_table(store: Store, since: datetime, until: datetime, tell: Tell) -> Iterator[Columns]:
+    """Slots with since <= slot < until, in order: rows, and those in gaps with flag 9.
+
+    Of a slot in a gap the reasons are the gap's cause. Raises StoreError; DatabaseDamagedError
+    names the first row that is not what was written.
+    """
+    limits = range(*(unix_s(next_second(time)) for time in (since, until)))
+    missed = _MissedSlots(store.gaps(since, until), limits)
+    for rows in read_columns(store.path, since, until, tell):
+        slots, begin = rows.values["slot_utc"], 0
+        while begin < len(slots):
+            taken = missed.until(slots[-1])
+            # As many as may stand in memory together: more may come before the next row.
+            end = bisect_left(slots, taken[-1][0]) if len(taken) == BATCH else len(slots)
+            yield _joined(rows, slice(begin, end), taken)
+            begin = end
+    while taken := missed.until("~"):
+        yield _joined(Columns({"slot_utc": ()}), slice(0), taken)
+
+
+def kind_of_column(name: str) -> Kind:
+    """What a column of the table holds."""
+    return "text" if name == DETAIL else kind_of(name)
+
+
+class _MissedSlots:
+    """The slots of gaps, in order, a part at a time."""
+
+    def __init__(self, gaps: Sequence[GapRecord], limits: range) -> None:
+        self._slots = merge(*(_slots_of(gap, limits) for gap in gaps))
+        self._next = next(self._slots, None)
+
+    def until(self, last: str) -> list[Missed]:
+        """The next slots up to one, this included, but no more than a batch."""
+        taken: list[Missed] = []
+        while self._next is not None and self._next[0] <= last and len(taken) < BATCH:
+            taken.append(self._next)
+            self._next = next(self._slots, None)
+        return taken
+
+
+def _slots_of(gap: GapRecord, limits: range) -> Iterator[Missed]:
+    for unix in run_between(gap.first_slot_utc, gap.last_slot_utc, gap.period_s):
+        if unix in limits:
+            yield slot_text(slot_at(unix)), gap.cause.value, gap.detail
+
+
+def _joined(rows: Columns, part: slice, missed: Sequence[Missed]) -> Columns:
+    """Rows and missed slots as one table in order; where both claim a slot, the row counts."""
+    slots = rows.values["slot_utc"][part]
+    if missed:
+        measured = set(slots)
+        missed = [one for one in missed if one[0] not in measured]
+    of_gaps: dict[str, Sequence[Any]] = dict(
+        zip(("slot_utc", "reasons", DETAIL), zip(*missed, strict=True), strict=False)
+    )
+    of_gaps["flag"] = [int(Flag.MISSING)] * len(missed)
+    none = [None] * len(missed)
+    every = [*slots, *of_gaps.get("slot_utc", ())]
+    order = sorted(range(len(every)), key=every.__getitem__) if missed else None
+    table: dict[str, Sequence[Any]] = {}
+    for name in COLUMNS:
+        measured_values = rows.values[name][part] if name in rows.values else [None] * len(slots)
+        values = [*measured_values, *of_gaps.get(name, none)]
+        table[name] = values if order is None else [values[place] for place in order]
+    return Columns(table)
