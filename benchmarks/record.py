@@ -133,7 +133,6 @@ def fill(directory: Path, rows: int) -> None:
                     f"INSERT INTO measurement ({', '.join(names)}) VALUES ({places})", batch
                 )
         _record_gaps(store, rows)
-        store.checkpoint()
 
 
 def _first(calibration_id: int) -> MeasurementRecord:

@@ -86,4 +86,3 @@ def _fill(state: Path) -> None:
             first = _BEGIN + begin * _MINUTE
             last = first + (GAP_SLOTS - 1) * _MINUTE
             store.record_gap(first, last, GapCause.POWER_LOSS, "bench", period_s=60)
-        store.checkpoint()

@@ -21,8 +21,8 @@ from daemon.log import configure_log
 from daemon.retention.guard import relieve
 from daemon.slots.reporting import Reporter
 from daemon.slots.service import Service, Station
-from daemon.store.database import database_bytes
 from daemon.store.opening import damage_noted, open_checked_store
+from daemon.store.preparing import database_bytes
 from daemon.version import VERSION
 
 CLOSE_LIMIT_S = 30.0

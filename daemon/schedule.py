@@ -8,7 +8,8 @@ from typing import cast
 
 from apscheduler.triggers.interval import IntervalTrigger
 
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+from daemon.times import EPOCH
+
 SECOND = timedelta(seconds=1)
 
 

@@ -12,6 +12,8 @@ from datetime import UTC, datetime
 import numpy as np
 import numpy.typing as npt
 
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
 
 def slot_text(slot_utc: datetime) -> str:
     """A slot as the database, file names' tables and exports write it.
@@ -30,6 +32,11 @@ def instant_text(time_utc: datetime) -> str:
         msg = f"not a moment in UTC (no time zone): {time_utc.isoformat()}"
         raise ValueError(msg)
     return time_utc.astimezone(UTC).replace(tzinfo=None).isoformat(timespec="microseconds") + "Z"
+
+
+def stamp_text(when: datetime) -> str:
+    """A moment in the name of a file, to the second: `20260301T000000Z`."""
+    return when.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
 
 
 def utc_array(texts: Sequence[str | None]) -> npt.NDArray[np.datetime64]:

@@ -42,7 +42,7 @@ def command(options: Options, since: datetime | None, until: datetime | None, ou
         raise UsageError(msg)
     require_matplotlib()
     schedule = options.config.schedule
-    with open_store_readonly(options.state) as store, progress(0, "rows") as steps:
+    with open_store_readonly(options.state) as store, progress(None, "reading rows") as steps:
         history = read_history(
             store,
             since,

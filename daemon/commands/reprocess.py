@@ -32,7 +32,8 @@ from daemon.slots.row_history import RowHistory
 from daemon.store.database import NEVER, open_store_readonly
 from daemon.store.frames.archive import FrameArchive
 from daemon.store.json_fields import result_fields
-from daemon.store.records import EPOCH, CalibrationRecord
+from daemon.store.records import CalibrationRecord
+from daemon.times import EPOCH
 from drivers.frameset import FrameSet, FrameSetRow, read_frame_set
 
 Result = tuple[datetime, Measurement]

@@ -132,10 +132,10 @@ def _line(panel: Axes, series: Series, values: FloatArray, **style: Any) -> None
     """Draw a line, and as dots the values that stand alone, which a line does not show."""
     times: Any = series.times
     panel.plot(times, values, **style)
-    known = np.isfinite(values)
-    differs = np.diff(values, prepend=np.nan) != 0.0
-    joined = known & (np.roll(known, 1) & differs | np.roll(known & differs, -1))
-    alone = known & ~joined
+    steps = np.diff(values, prepend=np.nan, append=np.nan)
+    later = np.diff(series.times) > np.timedelta64(0)
+    has_length = np.isfinite(steps) & ((steps != 0.0) | np.concatenate([[False], later, [False]]))
+    alone = np.isfinite(values) & ~has_length[:-1] & ~has_length[1:]
     if alone.any():
         panel.plot(times[alone], values[alone], ".", color=style["color"], markersize=2.0)
 

@@ -22,7 +22,7 @@ from daemon.retention.retention import Retention
 from daemon.retention.rules import Rules
 from daemon.store.database import Store
 from daemon.store.frames.archive import FrameArchive
-from daemon.store.overview import FILE_NAME
+from daemon.store.sqlite import FILE_NAME
 from daemon.times import slot_text
 from drivers.protocols import Clock
 

@@ -17,8 +17,8 @@ from daemon.slots.missing_slots import account_for_lost, note_schedule
 from daemon.slots.pipeline import SlotContext, record_late
 from daemon.slots.time_correction import finish_moves, mend_undated
 from daemon.store.database import Store
-from daemon.store.records import EPOCH, GapCause, Mark
-from daemon.times import instant_text, slot_text
+from daemon.store.records import GapCause, Mark
+from daemon.times import EPOCH, instant_text, slot_text
 
 _log = structlog.get_logger("dcam.daemon")
 

@@ -8,9 +8,11 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime
+from pathlib import Path
 
 from daemon.errors import DamagedRowError
-from daemon.store.runs import run_between, slot_at, unix_s, without
+from daemon.store.runs import run_between, schedule_slots, slot_at, unix_s, without
+from daemon.store.sqlite import connect_readonly, said_plainly
 from daemon.times import slot_text
 
 _STEP = 50_000
@@ -33,6 +35,16 @@ def audit_slots(connection: sqlite3.Connection, slots: range) -> Iterator[SlotAu
     """Look at `slots` in short stretches, each by itself, in order. Raises DamagedRowError."""
     for start in range(0, len(slots), _STEP):
         yield _fate(connection, slots[start : start + _STEP])
+
+
+def missing_slots(path: Path, slots: range) -> Iterator[range]:
+    """Those of `slots` with neither row nor gap, as runs, in order. Raises StoreError.
+
+    Each short stretch is looked at by itself, so that no writer waits and no log grows.
+    """
+    with said_plainly(path), closing(connect_readonly(path)) as connection:
+        for audit in audit_slots(connection, slots):
+            yield from audit.missing_slots
 
 
 def _fate(connection: sqlite3.Connection, slots: range) -> SlotAudit:
@@ -112,7 +124,7 @@ def scheduled(
     for epoch, end_utc in zip(epochs, [*ends, None], strict=True):
         begin = unix_s(first_utc) if epoch.after_utc is None else unix_s(epoch.after_utc) + 1
         begin = max(begin, unix_s(first_utc))
-        begin += (epoch.offset_s - begin) % epoch.period_s
         end = unix_s(last_utc) if end_utc is None else min(unix_s(end_utc), unix_s(last_utc))
-        if begin <= end:
-            yield range(begin, end + 1, epoch.period_s)
+        limits = slot_at(begin), slot_at(max(begin, end + 1))
+        if slots := schedule_slots(*limits, epoch.period_s, epoch.offset_s):
+            yield slots

@@ -15,7 +15,7 @@ import numpy as np
 from daemon.store.checksum import DIGEST, encoded, row_digest
 
 Columns = Mapping[str, Sequence[Any]]
-"""Values as SQLite holds them, by the name of their column; all columns are equally long."""
+"""Values of at least one row as SQLite holds them, by column; all columns are equally long."""
 
 _BREAK = "\0"
 """Between two rows' texts: JSON has no such byte."""

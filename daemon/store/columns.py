@@ -41,6 +41,11 @@ class Columns:
     def __len__(self) -> int:
         return len(self.values["slot_utc"])
 
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """The values of each row by column."""
+        for row in zip(*self.values.values(), strict=True):
+            yield dict(zip(self.values, row, strict=True))
+
     def numbers(self, *names: str) -> FloatArray:
         """(rows, names) of numbers; NaN for NULL."""
         return np.array([self.values[name] for name in names], dtype=np.float64).T
@@ -59,6 +64,7 @@ def read_columns(
         within = "slot_utc >= ? AND slot_utc < ?"
         count = f"SELECT count(*) FROM measurement WHERE {within}"  # noqa: S608 - our own words
         total, done = connection.execute(count, limits).fetchone()[0], 0
+        tell(done, total)
         query = f"SELECT * FROM measurement WHERE {within} ORDER BY slot_utc LIMIT {BATCH}"  # noqa: S608
         while batch := _batch(connection, query, limits):
             yield batch

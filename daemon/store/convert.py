@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import fields
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,12 +21,11 @@ from core.results import (
     Reason,
     RigMotion,
 )
+from daemon.errors import DamagedRowError
 from daemon.store.records import CalibrationRecord, CameraState, MeasurementRecord
 
 if TYPE_CHECKING:  # SQLAlchemy is loaded by who needs its rows
-    from types import SimpleNamespace
-
-    from daemon.store.schema import CalibrationRow, MeasurementRow
+    from daemon.store.schema import CalibrationRow
 
 RESULT_COLUMNS = (
     *("slot_utc", "flag", "reasons", "x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm"),
@@ -38,14 +39,12 @@ BURST_COLUMNS = ("spread_x_mm", "spread_y_mm", "frames_used")
 _UPPER = np.triu_indices(6)
 _DIAGNOSTICS = tuple(field.name for field in fields(Diagnostics))
 _MOTION = ("rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm")
+_AS_STORED = (
+    *("config_hash", "version", "calibration_id", "skew_s", "main_frame", "sub_frame"),
+    *("boot_id", "uptime_s"),
+)
+"""Columns that are fields of the record under their own names."""
 _CAMERA = tuple(field.name for field in fields(CameraState))
-
-
-def measurement_row(record: MeasurementRecord) -> MeasurementRow:
-    """The row of a record. Raises ValueError for a value or covariance that is not finite."""
-    from daemon.store.schema import MeasurementRow
-
-    return MeasurementRow(**measurement_columns(record))
 
 
 def measurement_columns(record: MeasurementRecord) -> dict[str, Any]:
@@ -82,36 +81,46 @@ def measurement_columns(record: MeasurementRecord) -> dict[str, Any]:
     }
 
 
-def measurement_record(row: MeasurementRow | SimpleNamespace) -> MeasurementRecord:
-    """The record of a row, or of its columns by name."""
+def measurement_record(values: Mapping[str, Any]) -> MeasurementRecord:
+    """The record of a row of `measurement`: its values by column, as SQLite holds them.
+
+    Raises DamagedRowError for a time that is none.
+    """
     measurement = Measurement(
-        flag=Flag(row.flag),
-        reasons=tuple(Reason(word) for word in row.reasons.split("+") if word),
-        corrected=_displacement(row, ""),
-        raw=_displacement(row, "raw_"),
-        motion=_motion(row),
-        diagnostics=Diagnostics(**{name: getattr(row, name) for name in _DIAGNOSTICS}),
-        spread_mm=_spread(row),
-        frames_used=row.frames_used,
+        flag=Flag(values["flag"]),
+        reasons=tuple(Reason(word) for word in values["reasons"].split("+") if word),
+        corrected=_displacement(values, ""),
+        raw=_displacement(values, "raw_"),
+        motion=_motion(values),
+        diagnostics=Diagnostics(**{name: values[name] for name in _DIAGNOSTICS}),
+        spread_mm=_spread(values),
+        frames_used=values["frames_used"],
     )
+    synchronised = values["clock_synchronised"]
     return MeasurementRecord(
-        slot_utc=row.slot_utc,
+        slot_utc=stored_time(values["slot_utc"]),
         measurement=measurement,
-        config_hash=row.config_hash,
-        version=row.version,
-        calibration_id=row.calibration_id,
-        skew_s=row.skew_s,
-        main_frame=row.main_frame,
-        sub_frame=row.sub_frame,
-        captured_utc=row.captured_utc,
-        boot_id=row.boot_id,
-        uptime_s=row.uptime_s,
-        clock_synchronised=row.clock_synchronised,
-        redated_from_utc=row.redated_from_utc,
-        recorded_late=row.recorded_late,
-        main_camera=_camera(row, "main_"),
-        sub_camera=_camera(row, "sub_"),
+        captured_utc=_time_or_none(values["captured_utc"]),
+        redated_from_utc=_time_or_none(values["redated_from_utc"]),
+        clock_synchronised=None if synchronised is None else bool(synchronised),
+        recorded_late=bool(values["recorded_late"]),
+        main_camera=_camera(values, "main_"),
+        sub_camera=_camera(values, "sub_"),
+        **{name: values[name] for name in _AS_STORED},
     )
+
+
+def stored_time(text: Any) -> datetime:
+    """A time that SQLite holds. Raises DamagedRowError for what is none."""
+    try:
+        return datetime.fromisoformat(text)
+    except (ValueError, TypeError) as error:
+        msg = f"{text!r} is no time"
+        raise DamagedRowError(msg) from error
+
+
+def _time_or_none(text: str | None) -> datetime | None:
+    return None if text is None else stored_time(text)
 
 
 def calibration_row(record: CalibrationRecord) -> CalibrationRow:
@@ -170,9 +179,9 @@ def _displacement_columns(displacement: Displacement | None, prefix: str) -> dic
     return _finite(columns)
 
 
-def _displacement(row: MeasurementRow | SimpleNamespace, prefix: str) -> Displacement | None:
+def _displacement(values: Mapping[str, Any], prefix: str) -> Displacement | None:
     names = ("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm", "cov_xy_mm2")
-    x, y, sigma_x, sigma_y, cov_xy = (getattr(row, prefix + name) for name in names)
+    x, y, sigma_x, sigma_y, cov_xy = (values[prefix + name] for name in names)
     if x is None:
         return None
     covariance = np.array([[sigma_x**2, cov_xy], [cov_xy, sigma_y**2]])
@@ -185,10 +194,10 @@ def _spread_columns(spread_mm: FloatArray | None) -> dict[str, float]:
     return _finite({"spread_x_mm": float(spread_mm[0]), "spread_y_mm": float(spread_mm[1])})
 
 
-def _spread(row: MeasurementRow | SimpleNamespace) -> FloatArray | None:
-    if row.spread_x_mm is None:
+def _spread(values: Mapping[str, Any]) -> FloatArray | None:
+    if values["spread_x_mm"] is None:
         return None
-    return np.array([row.spread_x_mm, row.spread_y_mm], dtype=np.float64)
+    return np.array([values["spread_x_mm"], values["spread_y_mm"]], dtype=np.float64)
 
 
 def _motion_columns(motion: RigMotion | None) -> dict[str, Any]:
@@ -208,15 +217,15 @@ def _finite(columns: dict[str, float]) -> dict[str, float]:
     return columns
 
 
-def _motion(row: MeasurementRow | SimpleNamespace) -> RigMotion | None:
-    if row.motion_covariance is None:
+def _motion(values: Mapping[str, Any]) -> RigMotion | None:
+    if values["motion_covariance"] is None:
         return None
     covariance: FloatArray = np.zeros((6, 6))
-    covariance[_UPPER] = json.loads(row.motion_covariance)
+    covariance[_UPPER] = json.loads(values["motion_covariance"])
     covariance = covariance + np.triu(covariance, 1).T
     return RigMotion(
-        rotation_rad=np.array([row.rx_rad, row.ry_rad, row.rz_rad], dtype=np.float64),
-        translation_mm=np.array([row.tx_mm, row.ty_mm, row.tz_mm], dtype=np.float64),
+        rotation_rad=np.array([values[name] for name in _MOTION[:3]], dtype=np.float64),
+        translation_mm=np.array([values[name] for name in _MOTION[3:]], dtype=np.float64),
         covariance=covariance,
     )
 
@@ -225,5 +234,5 @@ def _camera_columns(camera: CameraState, prefix: str) -> dict[str, float | None]
     return {prefix + name: getattr(camera, name) for name in _CAMERA}
 
 
-def _camera(row: MeasurementRow | SimpleNamespace, prefix: str) -> CameraState:
-    return CameraState(**{name: getattr(row, prefix + name) for name in _CAMERA})
+def _camera(values: Mapping[str, Any], prefix: str) -> CameraState:
+    return CameraState(**{name: values[prefix + name] for name in _CAMERA})

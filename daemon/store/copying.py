@@ -12,7 +12,9 @@ from pathlib import Path
 
 from daemon.durable import fsync_file, replacing
 from daemon.errors import TO_SALVAGE, DatabaseDamagedError, DatabaseUnwritableError, StoreError
+from daemon.store.salvage.damage_note import SET_ASIDE
 from daemon.store.sqlite import connect_readonly, is_damage, translate
+from daemon.times import stamp_text
 
 PAGES_A_STEP = 1024
 """4 MB between two syncs: a slot's own sync never waits behind more than that."""
@@ -41,6 +43,9 @@ def backup(source: Path, target: Path, tell: Tell = lambda _done, _total: None) 
     emptied afterwards).
     Raises DatabaseDamagedError for a damaged original, DiskFullError, DatabaseUnwritableError.
     """
+    if target.exists() and target.samefile(source):
+        msg = f"{target}: is the database itself: choose another name"
+        raise StoreError(msg)
     try:
         original = connect_readonly(source)
     except sqlite3.Error as error:
@@ -65,6 +70,21 @@ def copy_out(
     except sqlite3.Error as error:
         # The copy is new: damage is the original's.
         raise translate(source if is_damage(error) else target, error) from error
+
+
+def rescue(held: sqlite3.Connection, path: Path, now_utc: datetime) -> Path:
+    """Copy a database that lost its name `path` while it was open; give the copy's name.
+
+    That is `path` if it is free, else the name of a database set aside.
+    """
+    target = path
+    if target.exists():
+        target = target.with_name(f"{SET_ASIDE}{stamp_text(now_utc)}")
+    copy_out(held, path, target)
+    if target == path:  # they belong to the removed file, whose commits the copy has
+        for leftover in _companions(target):
+            leftover.unlink(missing_ok=True)
+    return target
 
 
 def _copy(original: sqlite3.Connection, source: Path, temporary: Path, tell: Tell) -> Copied:

@@ -25,10 +25,10 @@ def put(session: Session, record: FrameDay) -> None:
     row.removed, row.bytes, row.finished = record.removed, record.bytes, record.finished
 
 
-def read(session: Session, day: date) -> FrameDay | None:
-    """One day's record, None when it has not been counted yet."""
-    row = session.get(FrameDayRow, day.isoformat())
-    return None if row is None else _record(row)
+def has_removed(session: Session, slot_utc: datetime) -> bool:
+    """Whether the frames of a slot were removed on purpose."""
+    row = session.get(FrameDayRow, slot_utc.astimezone(UTC).date().isoformat())
+    return row is not None and _record(row).has_removed(slot_utc)
 
 
 def read_all(session: Session) -> list[FrameDay]:

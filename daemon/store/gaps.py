@@ -9,7 +9,7 @@ from datetime import datetime
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
-from daemon.store.records import GapCause, GapRecord
+from daemon.store.records import GapCause
 from daemon.store.runs import run_between, slot_at, unix_s, without
 from daemon.store.schema import GapRow, MeasurementRow
 
@@ -84,17 +84,6 @@ def gaps_touching(session: Session, first: datetime, last: datetime) -> list[Gap
 def run_of(gap: GapRow) -> range:
     """The slots of a gap."""
     return run_between(gap.start_utc, gap.end_utc, gap.period_s)
-
-
-def gap_record(gap: GapRow) -> GapRecord:
-    """The record of a gap's row."""
-    return GapRecord(
-        first_slot_utc=gap.start_utc,
-        last_slot_utc=gap.end_utc,
-        period_s=gap.period_s,
-        cause=gap.cause,
-        detail=gap.detail,
-    )
 
 
 def _row(run: range, cause: GapCause, detail: str) -> GapRow:

@@ -7,7 +7,7 @@ import json
 import uuid
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from datetime import UTC, datetime
+from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from daemon.store.copying import backup
 from daemon.store.engine import translated
 from daemon.store.records import Mark
 from daemon.store.schema import Base
+from daemon.times import stamp_text
 
 _PENDING = ".pending"
 """Ends the name of a backup as long as its migration is not done."""
@@ -188,8 +189,7 @@ def _clear_attempts(path: Path) -> None:
 
 
 def _backup_name(path: Path, found: str, now_utc: datetime) -> Path:
-    stamp = now_utc.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
-    name = f"{path.name}.revision-{found}.{stamp}"
+    name = f"{path.name}.revision-{found}.{stamp_text(now_utc)}"
     candidate = path.with_name(name)
     number = 1
     while candidate.exists():  # a clock that stands still must not cost an older backup

@@ -11,7 +11,6 @@ import structlog
 
 from daemon.errors import DatabaseRemovedError, DatabaseUnwritableError, StoreError
 from daemon.store.database import Store, open_store
-from daemon.store.overview import FILE_NAME
 from daemon.store.salvage.damage import (
     Depth,
     ended_in_order,
@@ -20,7 +19,7 @@ from daemon.store.salvage.damage import (
 )
 from daemon.store.salvage.damage_note import Note, clear_note, note_damage, read_note
 from daemon.store.salvage.salvage import Tell, salvage
-from daemon.store.sqlite import undo_half_made
+from daemon.store.sqlite import FILE_NAME, undo_half_made
 
 _log = structlog.get_logger("dcam.daemon")
 

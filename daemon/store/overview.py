@@ -12,23 +12,15 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 from core.results import Flag
-from daemon.errors import DamagedRowError, DatabaseMissingError
-from daemon.store.checksum import DIGEST, require_intact
-from daemon.store.convert import measurement_record
+from daemon.store.convert import measurement_record, stored_time
+from daemon.store.reading import fetch, value, whole_rows
 from daemon.store.records import Coverage, GapCause, GapRecord, Mark, MeasurementRecord
 from daemon.store.revisions import require_head
 from daemon.store.runs import next_second, overlap, run_between, slot_at
-from daemon.store.sqlite import connect_readonly, database_exists, said_plainly
+from daemon.store.sqlite import connect_readonly, existing_path, said_plainly
 from daemon.times import instant_text, slot_text
-
-FILE_NAME = "dcam.db"
-
-_TIMES = ("slot_utc", "captured_utc", "redated_from_utc")
-_TRUTHS = ("recorded_late", "clock_synchronised")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,19 +54,12 @@ def open_overview(directory: Path) -> Iterator[Overview]:
 
     Raises DatabaseMissingError, DatabaseDamagedError, DatabaseNewerError, DatabaseOlderError.
     """
-    path = directory / FILE_NAME
-    if not database_exists(path):
-        raise DatabaseMissingError(missing(path))
+    path = existing_path(directory)
     with said_plainly(path), closing(connect_readonly(path)) as connection:
         connection.execute("BEGIN").close()
         overview = Overview(connection)
         require_head(overview.revision(), path)
         yield overview
-
-
-def missing(path: Path) -> str:
-    """What to say of a database that is not there."""
-    return f"{path}: no database: start dcamd once, or name another state directory"
 
 
 class Overview:
@@ -86,32 +71,27 @@ class Overview:
     def revision(self) -> str | None:
         """The revision of the tables; None where this program never made any."""
         named = "SELECT count(*) FROM sqlite_master WHERE name = 'alembic_version'"
-        if not self._value(named):
+        if not value(self._connection, named):
             return None
-        found = self._value("SELECT version_num FROM alembic_version")
+        found = value(self._connection, "SELECT version_num FROM alembic_version")
         return None if found is None else str(found)
 
     def accounted(self) -> tuple[datetime, datetime] | None:
         """The first and the last slot that has a row or lies in a gap; None when there is none."""
         limits = [  # SQLite takes one end of an index a query, not both
-            self._value("SELECT min(slot_utc) FROM measurement"),
-            self._value("SELECT max(slot_utc) FROM measurement"),
-            self._value("SELECT min(start_utc) FROM gap"),
-            self._value("SELECT max(end_utc) FROM gap"),
+            value(self._connection, "SELECT min(slot_utc) FROM measurement"),
+            value(self._connection, "SELECT max(slot_utc) FROM measurement"),
+            value(self._connection, "SELECT min(start_utc) FROM gap"),
+            value(self._connection, "SELECT max(end_utc) FROM gap"),
         ]
-        known = [time for time in map(_time, limits) if time is not None]
+        known = [stored_time(text) for text in limits if text is not None]
         return (min(known), max(known)) if known else None
 
     def last_row(self) -> MeasurementRecord | None:
         """The row of the latest slot that has one."""
         query = "SELECT * FROM measurement ORDER BY slot_utc DESC LIMIT 1"
-        found = self._rows("measurement", query)
-        if not found:
-            return None
-        (columns,) = found
-        columns |= {name: _time(columns[name]) for name in _TIMES}
-        columns |= {name: _truth(columns[name]) for name in _TRUTHS}
-        return measurement_record(SimpleNamespace(**columns))
+        found = whole_rows(self._connection, "measurement", query)
+        return measurement_record(found[0]) if found else None
 
     def last_good_slot(self, since: datetime) -> datetime | None:
         """The latest slot with a good row, not before a time."""
@@ -119,7 +99,8 @@ class Overview:
             "SELECT slot_utc FROM measurement WHERE slot_utc >= ? AND flag = ?"
             " ORDER BY slot_utc DESC LIMIT 1"
         )
-        return _time(self._value(query, slot_text(next_second(since)), int(Flag.GOOD)))
+        found = value(self._connection, query, slot_text(next_second(since)), int(Flag.GOOD))
+        return None if found is None else stored_time(found)
 
     def rows_without_frames(self, since: datetime, until: datetime) -> int:
         """How many rows, since <= slot < until, could not keep their frames.
@@ -130,11 +111,13 @@ class Overview:
             "SELECT count(*) FROM measurement WHERE slot_utc >= ? AND slot_utc < ?"
             " AND main_frame IS NULL AND recorded_late = 0"
         )
-        return int(self._value(query, *(slot_text(next_second(t)) for t in (since, until))))
+        return int(
+            value(self._connection, query, *(slot_text(next_second(t)) for t in (since, until)))
+        )
 
     def undated(self) -> int:
         """How many pairs wait for their slots."""
-        return int(self._value("SELECT count(*) FROM undated"))
+        return int(value(self._connection, "SELECT count(*) FROM undated"))
 
     def gaps(self, since: datetime, until: datetime) -> list[GapRecord]:
         """Gaps with at least one moment in since <= t < until, whole, in order."""
@@ -142,13 +125,13 @@ class Overview:
         limits = [slot_text(next_second(time)) for time in (since, until)]
         return [
             GapRecord(
-                datetime.fromisoformat(row["start_utc"]),
-                datetime.fromisoformat(row["end_utc"]),
+                stored_time(row["start_utc"]),
+                stored_time(row["end_utc"]),
                 row["period_s"],
                 GapCause(row["cause"]),
                 row["detail"],
             )
-            for row in self._rows("gap", query, *limits)
+            for row in whole_rows(self._connection, "gap", query, *limits)
         ]
 
     def coverage(self, slots: range) -> Coverage:
@@ -182,13 +165,13 @@ class Overview:
             " FROM calibration_activation a JOIN calibration c ON c.id = a.calibration_id"
             " ORDER BY a.id DESC LIMIT 1"
         )
-        found = self._all(query)
+        found = fetch(self._connection, query)
         if not found:
             return None
         number, created, method, passed, hash_, verdict, rms_px, contrast_dn = found[0]
         return ActiveCalibrationSummary(
             number,
-            datetime.fromisoformat(created),
+            stored_time(created),
             method,
             bool(passed),
             verdict or "",
@@ -211,17 +194,19 @@ class Overview:
         )
         begin = slot_text(next_second(since))
         found = [
-            row for word in reasons for row in self._all(query, calibration_id, word, begin, limit)
+            row
+            for word in reasons
+            for row in fetch(self._connection, query, calibration_id, word, begin, limit)
         ]
         return [
-            Fit(datetime.fromisoformat(slot), residual_px or 0.0, contrast_dn or 0.0)
+            Fit(stored_time(slot), residual_px or 0.0, contrast_dn or 0.0)
             for slot, residual_px, contrast_dn in sorted(found)[-limit:]
         ]
 
     def events(self, kind: str, since: datetime) -> int:
         """How many events of a kind there were since a time."""
         query = "SELECT count(*) FROM event WHERE time_utc >= ? AND kind = ?"
-        return int(self._value(query, instant_text(since), kind))
+        return int(value(self._connection, query, instant_text(since), kind))
 
     def last_event(self, *kinds: str) -> tuple[str, datetime, str] | None:
         """Kind, time and detail of the newest event of some kinds."""
@@ -230,22 +215,23 @@ class Overview:
             f"SELECT kind, time_utc, detail FROM event WHERE kind IN ({places})"  # noqa: S608
             " ORDER BY id DESC LIMIT 1"
         )
-        found = self._all(query, *kinds)
+        found = fetch(self._connection, query, *kinds)
         if not found:
             return None
         kind, time_utc, detail = found[0]
-        return str(kind), datetime.fromisoformat(time_utc), str(detail)
+        return str(kind), stored_time(time_utc), str(detail)
 
     def archive_size(self) -> tuple[int, int]:
         """Days with frames, and bytes of them, as last counted."""
         query = "SELECT count(*), coalesce(sum(bytes), 0) FROM frame_day WHERE bytes > 0"
-        days, size = self._all(query)[0]
+        days, size = fetch(self._connection, query)[0]
         return int(days), int(size)
 
     def mark(self, mark: Mark) -> str | None:
         """A mark's value, None if not set."""
-        found = self._value("SELECT value FROM mark WHERE name = ?", mark.value)
-        return None if found is None else str(found)
+        query = "SELECT * FROM mark WHERE name = ?"
+        found = whole_rows(self._connection, "mark", query, mark.value)
+        return str(found[0]["value"]) if found else None
 
     def _rows_by_flag(self, slots: range) -> dict[Flag, int]:
         query = (
@@ -253,35 +239,5 @@ class Overview:
             " AND (CAST(strftime('%s', slot_utc) AS INTEGER) - ?) % ? = 0 GROUP BY flag"
         )
         limits = (slot_text(slot_at(slots[0])), slot_text(slot_at(slots[-1])))
-        found = self._all(query, *limits, slots.start, slots.step)
+        found = fetch(self._connection, query, *limits, slots.start, slots.step)
         return {Flag(flag): count for flag, count in found}
-
-    def _rows(self, table: str, query: str, *parameters: Any) -> list[dict[str, Any]]:
-        """Whole rows by column, each of which has proved itself."""
-        # A cursor of its own: the connection may be another's, who reads plain tuples.
-        with closing(self._connection.cursor()) as cursor:
-            cursor.row_factory = sqlite3.Row
-            rows = [dict(row) for row in cursor.execute(query, parameters)]
-        for row in rows:
-            require_intact(table, row, row.pop(DIGEST))
-        return rows
-
-    def _value(self, query: str, *parameters: Any) -> Any:
-        found = self._all(query, *parameters)
-        return found[0][0] if found else None
-
-    def _all(self, query: str, *parameters: Any) -> list[Any]:
-        with closing(self._connection.cursor()) as cursor:
-            return cursor.execute(query, parameters).fetchall()
-
-
-def _time(text: str | None) -> datetime | None:
-    try:
-        return None if text is None else datetime.fromisoformat(text)
-    except (ValueError, TypeError) as error:
-        msg = f"{text!r} is no time"
-        raise DamagedRowError(msg) from error
-
-
-def _truth(number: int | None) -> bool | None:
-    return None if number is None else bool(number)

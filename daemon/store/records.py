@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, date, datetime, timedelta
+from datetime import date, datetime, timedelta
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +12,6 @@ from core.results import CalibrationReport, Measurement, Reason
 
 if TYPE_CHECKING:
     from core.calibration.calibrate import Calibration
-
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 BELIEVED = ("", Reason.CALIBRATION_DRIFTING.value)
 """Reasons, as the table holds them, of the rows that later ones are judged by."""

@@ -1,7 +1,4 @@
-"""Which revisions of the tables there are, without loading Alembic, which knows from its scripts.
-
-A test holds the two together: whoever adds a migration adds its name here.
-"""
+"""Which revisions of the tables there are, without loading Alembic; what to do about another."""
 
 from __future__ import annotations
 
@@ -10,9 +7,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from daemon.errors import DatabaseForeignError, DatabaseNewerError, DatabaseOlderError
+from migrations import versions
 
-REVISIONS = ("0001", "0002", "0003", "0004", "0005", "0006")
-"""In the order in which they are applied; the last is this version's."""
+_SCRIPT = re.compile(r"(\d{4})_\w+\.py")
+
+REVISIONS = tuple(
+    sorted(
+        name[1]
+        for script in Path(str(versions.__file__)).parent.iterdir()
+        if (name := _SCRIPT.fullmatch(script.name))
+    )
+)
+"""In the order in which they are applied, as the scripts' names say; the last is this version's."""
 
 
 def require_head(found: str | None, path: Path, known: Sequence[str] = REVISIONS) -> None:

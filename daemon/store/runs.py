@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterator
 from datetime import datetime, timedelta
 from itertools import pairwise
 
-from daemon.store.records import EPOCH
+from daemon.times import EPOCH
 
 
 def unix_s(slot_utc: datetime) -> int:

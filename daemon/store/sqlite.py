@@ -13,11 +13,14 @@ from daemon.errors import (
     DamagedRowError,
     DatabaseBusyError,
     DatabaseDamagedError,
+    DatabaseMissingError,
     DatabaseUnwritableError,
     DiskFullError,
     StoreError,
 )
 from daemon.store.salvage.damage_note import read_note
+
+FILE_NAME = "dcam.db"
 
 BUSY_TIMEOUT_S = 10.0
 """A second writer (a command beside the daemon) holds the lock for milliseconds."""
@@ -118,6 +121,15 @@ def database_exists(path: Path) -> bool:
         msg = f"{path}: not a SQLite database: {TO_SALVAGE}"
         raise DatabaseDamagedError(msg)
     return bool(start)
+
+
+def existing_path(directory: Path) -> Path:
+    """The database of a state directory. Raises as `database_exists`, and DatabaseMissingError."""
+    path = directory / FILE_NAME
+    if not database_exists(path):
+        msg = f"{path}: no database: start dcamd once, or name another state directory"
+        raise DatabaseMissingError(msg)
+    return path
 
 
 def is_database_file(path: Path) -> bool:

@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import json
 from datetime import datetime
-from typing import Any
+from pathlib import Path
 
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
+from daemon.errors import StoreError
 from daemon.store.convert import measurement_columns, measurement_record
 from daemon.store.records import MeasurementRecord
 from daemon.store.schema import MeasurementRow, UndatedRow
 from daemon.times import instant_text
 
-_TIMES = ("slot_utc", "captured_utc", "redated_from_utc")
+
+def add(session: Session, path: Path, record: MeasurementRecord) -> None:
+    """Keep a pair. Raises StoreError for one that is not finite, or does not know its boot."""
+    try:
+        session.add(_row(record))
+    except ValueError as error:
+        msg = f"{path}: what was taken at {record.captured_utc} cannot be kept: {error}"
+        raise StoreError(msg) from error
 
 
-def undated_row(record: MeasurementRecord) -> UndatedRow:
-    """The row of a record that was taken by this machine.
-
-    Raises ValueError for a value that is not finite, or a record that does not know its boot.
-    """
+def _row(record: MeasurementRecord) -> UndatedRow:
     if record.boot_id is None or record.uptime_s is None or record.captured_utc is None:
         msg = "a pair without its time since the boot could never be dated"
         raise ValueError(msg)
@@ -48,13 +52,8 @@ def forget(session: Session, undated_id: int) -> None:
 
 
 def _record(row: UndatedRow) -> MeasurementRecord:
-    columns: dict[str, Any] = json.loads(row.content)
-    empty = dict.fromkeys(column.name for column in MeasurementRow.__table__.columns)
-    del empty["id"]
-    for name in _TIMES:
-        if columns[name] is not None:
-            columns[name] = datetime.fromisoformat(columns[name])
-    return measurement_record(MeasurementRow(**(empty | columns)))
+    none = dict.fromkeys(column.name for column in MeasurementRow.__table__.columns)
+    return measurement_record(none | json.loads(row.content))
 
 
 def _plain(value: object) -> object:

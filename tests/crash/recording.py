@@ -10,7 +10,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
-from daemon.store.database import FILE_NAME, Store
+from daemon.store.database import Store
+from daemon.store.sqlite import FILE_NAME
 from tests.crash.disk import Cut, Disk, Operation, Tree, put
 from tests.crash.lossy_fs import LossyMount
 from tests.crash.promises import Finished, Promises, broken, read_database

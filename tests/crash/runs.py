@@ -14,10 +14,10 @@ from alembic import command
 from daemon.retention.rules import Rules
 from daemon.slots.pipeline import record_late
 from daemon.slots.recovery import mark_finished, mark_stop
-from daemon.store.database import FILE_NAME
 from daemon.store.engine import make_engine
 from daemon.store.migrate import alembic_config
 from daemon.store.records import GapCause
+from daemon.store.sqlite import FILE_NAME
 from daemon.times import slot_text
 from drivers.errors import DeviceLostError
 from tests.crash.disk import Tree, read_tree

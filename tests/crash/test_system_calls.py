@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from daemon.store.database import FILE_NAME
+from daemon.store.sqlite import FILE_NAME
 from tests.crash.promises import Finished, Promises, broken, read_database
 from tests.crash.struck import CALLS, SLOTS
 

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daemon.schedule import EPOCH, MissedSlots, Schedule
+from daemon.schedule import MissedSlots, Schedule
+from daemon.times import EPOCH
 
 NOON = datetime(2026, 3, 1, 12, tzinfo=UTC)
 MINUTELY = Schedule(period_s=60)

@@ -27,8 +27,8 @@ from daemon.store.frames.table import (
     repair,
     sha256,
 )
-from daemon.store.records import EPOCH, CameraState
-from daemon.times import instant_text, slot_text
+from daemon.store.records import CameraState
+from daemon.times import EPOCH, instant_text, slot_text
 from drivers.errors import FrameSetError
 from drivers.frameset import BURST, FrameSetRow, encode_png, read_image
 from drivers.protocols import CapturedFrame, CapturedPair

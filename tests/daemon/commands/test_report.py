@@ -74,3 +74,21 @@ def test_a_binary_table_needs_a_file(site, file_format: str) -> None:
     ran = site("export", "--format", file_format)
     assert (ran.code, ran.out) == (2, "")
     assert "give --output FILE" in ran.err
+
+
+def test_a_row_alone_between_gaps_is_drawn(ctl: Ctl, tmp_path: Path) -> None:
+    """A line has no length there: the row is a dot of the corrected line's colour."""
+    (tmp_path / "dcam.toml").write_text(SIMULATED, encoding="utf-8")
+    with open_store(tmp_path / "state") as store:
+        store.add_calibration(calibration())
+        for minute in (0, 3, 6):
+            store.add_measurement(full_record(slot(minute), calibration_id=1))
+            store.record_gap(slot(minute + 1), slot(minute + 2), GapCause.CRASH, period_s=60)
+    paths = ("--config", tmp_path / "dcam.toml", "--state", tmp_path / "state")
+    assert ctl("plot", "--output", tmp_path / "a.svg", *paths).code == 0
+    dots = [
+        use
+        for use in ET.parse(tmp_path / "a.svg").getroot().iter("{http://www.w3.org/2000/svg}use")
+        if "fill: #0072b2" in use.get("style", "")
+    ]
+    assert len(dots) == 3 * 4  # three rows; x, y, and the blue axis of both motions

@@ -5,8 +5,12 @@ from __future__ import annotations
 import csv
 import json
 import math
+import os
+import pty
 import sqlite3
-from contextlib import closing
+import subprocess
+import sys
+from contextlib import closing, suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -264,5 +268,27 @@ def test_a_damaged_row_in_the_middle_is_named_and_nothing_is_written(
     assert ran.code == 5
     assert f"slot_utc {slot(5400):%Y-%m-%dT%H:%M:%SZ}" in ran.err
     assert "is not what was written" in ran.err
-    assert len(ran.err.splitlines()) == 1
+    assert ran.err.count("error") == 1
     assert not (tmp_path / output).exists()
+
+
+@pytest.mark.parametrize("command", ["export", "plot", "report"])
+def test_progress_is_shown_on_a_terminal(season: Season, tmp_path: Path, command: str) -> None:
+    """Rows done and rows in all, while they are read."""
+    *words, output = COMMANDS[command]
+    paths = ("--config", season.directory / "dcam.toml", "--state", season.database.parent)
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(
+        [sys.executable, "-m", "daemon.ctl", *words, tmp_path / output, *paths],
+        stdout=subprocess.DEVNULL,
+        stderr=theirs,
+        env=os.environ | {"TERM": "xterm", "COLUMNS": "100"},
+    ) as process:
+        os.close(theirs)
+        said = b""
+        with suppress(OSError):  # EIO: the other end is closed
+            while part := os.read(ours, 4096):
+                said += part
+    os.close(ours)
+    assert process.returncode == 0, said
+    assert f"/{ROWS}" in said.decode()

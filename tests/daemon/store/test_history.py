@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from daemon.errors import StoreError
 from daemon.store.database import Store, open_store
 from daemon.store.records import EventRecord, Mark
 from tests.daemon.store.examples import START, calibration, slot
@@ -56,14 +55,11 @@ def test_the_calibration_activated_last_is_active(store: Store) -> None:
     active = store.active_calibration()
     assert active is not None
     assert active.id == first
-    for identity in (second, first, second):
-        store.activate_calibration(identity, START)
-        active = store.active_calibration()
-        assert active is not None
-        assert active.id == identity
-    assert [one.id for one in store.calibrations()] == [first, second]
-    with pytest.raises(StoreError, match="no calibration 7"):
-        store.activate_calibration(7, START)
+    third = store.add_calibration(calibration(), activate=True)
+    active = store.active_calibration()
+    assert active is not None
+    assert active.id == third
+    assert [one.id for one in store.calibrations()] == [first, second, third]
 
 
 def test_events_are_read_by_time_and_kind(store: Store) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from core.results import Flag
 from daemon.errors import DatabaseBusyError, SlotTakenError, StoreError
-from daemon.store import database, sqlite
+from daemon.store import columns, sqlite
 from daemon.store.database import Store, open_store, open_store_readonly
 from tests.daemon.store.examples import (
     BAD,
@@ -119,7 +119,7 @@ def test_a_row_names_a_calibration_that_exists(store: Store) -> None:
 def test_rows_come_in_the_order_of_slots_from_since_up_to_until(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(database, "_PAGE", 3)
+    monkeypatch.setattr(columns, "BATCH", 3)
     for number in (4, 0, 3, 1, 2, 6, 5):
         store.add_measurement(record(slot(number)))
     everything = [row.slot_utc for row in store.measurements()]
@@ -163,14 +163,15 @@ def test_a_reader_does_not_hold_up_the_writer(store: Store, tmp_path: Path) -> N
 
 
 def test_a_half_read_export_does_not_keep_the_log(
-    store: Store, monkeypatch: pytest.MonkeyPatch
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(database, "_PAGE", 1)
+    monkeypatch.setattr(columns, "BATCH", 1)
     for number in range(3):
         store.add_measurement(record(slot(number)))
     rows = store.measurements()
     next(rows)
-    store.checkpoint()
+    with outside(tmp_path) as other:
+        other.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     assert store.path.with_name("dcam.db-wal").stat().st_size == 0
     assert next(rows).slot_utc == slot(1)
 

@@ -1,0 +1,43 @@
+"""Calibrations: stored for good, one of them in use."""
+
+from __future__ import annotations
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from daemon.store.convert import calibration_record, calibration_row
+from daemon.store.records import CalibrationRecord
+from daemon.store.schema import ActivationRow, CalibrationRow
+
+
+def add(session: Session, record: CalibrationRecord, *, activate: bool) -> int:
+    """Store a calibration, and make it the one in use if told; give its id.
+
+    Raises ValueError for content that is not plain, finite JSON.
+    """
+    row = calibration_row(record)
+    session.add(row)
+    session.flush()
+    if activate:
+        session.add(ActivationRow(calibration_id=row.id, activated_utc=record.created_utc))
+    return row.id
+
+
+def active(session: Session) -> CalibrationRecord | None:
+    """The calibration in use."""
+    newest = select(func.max(ActivationRow.id)).scalar_subquery()
+    query = select(CalibrationRow).join(ActivationRow).where(ActivationRow.id == newest)
+    row = session.scalar(query)
+    return None if row is None else calibration_record(row)
+
+
+def find(session: Session, calibration_id: int) -> CalibrationRecord | None:
+    """One calibration."""
+    row = session.get(CalibrationRow, calibration_id)
+    return None if row is None else calibration_record(row)
+
+
+def find_all(session: Session) -> list[CalibrationRecord]:
+    """All of them, oldest first."""
+    rows = session.scalars(select(CalibrationRow).order_by(CalibrationRow.id))
+    return [calibration_record(row) for row in rows]
