@@ -30,7 +30,7 @@ demo: $(INSTALLED)
 
 test: $(INSTALLED)
 	@sh .ci/system-packages $(PYTHON) tests
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 
 check: $(INSTALLED)
 	$(BIN)/ruff check

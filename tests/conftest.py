@@ -1,12 +1,37 @@
 """For all tests: numerics with one thread, as in our programs. Loaded before anything of numpy."""
 
+import os
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 import daemon  # noqa: F401
 
 TALLY = "tally"
+HERE = Path(__file__).parent
+LONGEST_FIRST = (
+    *("crash", "drivers/heads/test_head_programs.py", "system", "soak", "faults"),
+    *("daemon/slots", "daemon/commands", "drivers/genicam", "daemon", "core"),
+)
+"""Where tests take long; in this order, so that no process is left alone with them at the end."""
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """Half as many processes again as cores: tests of programs wait for them half of the time."""
+    return 3 * (os.cpu_count() or 1) // 2
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the files of long tests first; each process takes the next file when it is free."""
+
+    def rank(item: pytest.Item) -> int:
+        return next(
+            (k for k, name in enumerate(LONGEST_FIRST) if item.path.is_relative_to(HERE / name)),
+            len(LONGEST_FIRST),
+        )
+
+    items.sort(key=rank)
 
 
 @pytest.fixture

@@ -1,24 +1,50 @@
-"""Calibrated sites, made once for all tests of the core."""
+"""Calibrated sites, made once for all tests of the core, in whatever process they run."""
 
 from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from core.calibration.calibrate import Method
 from drivers.sim.settings import SimSettings
+from drivers.sim.world import World
+from tests.core.scenes import small_site
 from tests.core.sessions import Session, session
+from tests.shared import shared_directory
+
+MakeSession = Callable[[str, float, SimSettings, int, int], Session]
 
 
 @pytest.fixture(scope="session")
-def lab() -> Session:
+def shared_session(tmp_path_factory: pytest.TempPathFactory) -> MakeSession:
+    """Give a session by name, distance (mm), settings, and numbers of lens views and positions."""
+
+    def give(name: str, distance_mm: float, settings: SimSettings, lens: int, rig: int) -> Session:
+        def fill(directory: Path) -> None:
+            made = session(distance_mm, settings, lens=lens, rig=rig)
+            content = pickle.dumps((made.views, made.calibration, made.report))
+            (directory / "session").write_bytes(content)
+
+        file = shared_directory(tmp_path_factory, name, fill) / "session"
+        site = small_site(distance_mm)
+        return Session(site, World(site, settings), *pickle.loads(file.read_bytes()))
+
+    return give
+
+
+@pytest.fixture(scope="session")
+def lab(shared_session: MakeSession) -> Session:
     """11 m: twelve lens views, twelve head positions."""
-    return session(11000.0, SimSettings(seed=3), lens=12, rig=12)
+    return shared_session("lab", 11000.0, SimSettings(seed=3), 12, 12)
 
 
 @pytest.fixture(scope="session")
-def field() -> Session:
+def field(shared_session: MakeSession) -> Session:
     """22 m, another rig."""
-    return session(22000.0, SimSettings(seed=6), lens=12, rig=12)
+    return shared_session("field", 22000.0, SimSettings(seed=6), 12, 12)
 
 
 @pytest.fixture(scope="session")
@@ -28,6 +54,12 @@ def paper(lab: Session) -> Session:
 
 
 @pytest.fixture(scope="session")
-def quick() -> Session:
+def usual(shared_session: MakeSession) -> Session:
+    """The laboratory with eight lens views and ten head positions, enough to measure well."""
+    return shared_session("usual", 11000.0, SimSettings(seed=3), 8, 10)
+
+
+@pytest.fixture(scope="session")
+def quick(shared_session: MakeSession) -> Session:
     """Fewer views of the laboratory, for what does not depend on their number."""
-    return session(11000.0, SimSettings(seed=3), lens=5, rig=6)
+    return shared_session("quick", 11000.0, SimSettings(seed=3), 5, 6)

@@ -16,26 +16,19 @@ from core.errors import TargetNotFoundError
 from core.images import GreyImage
 from core.measurement import measure_pair
 from core.results import Flag
-from drivers.sim.settings import SimSettings
 from tests.core.boards import AS_CORE, BoardScene
 from tests.core.damage import blurred, covered, dimmed, noisy, shaded, spotted
 from tests.core.scenes import CENTRES_MM, MINUTE, reference_utc
-from tests.core.sessions import session
 from tests.core.targets import PX_PER_MM, TargetScene
 from tests.drivers.sim.rigs import site
 
 
-@pytest.fixture(scope="module")
-def lab():
-    return session(11000.0, SimSettings(seed=3), lens=8, rig=10)
-
-
-def _errors(lab, calibration):
+def _errors(usual, calibration):
     out = []
     for k in range(1, 6):
-        t = lab.world.settings.start_utc + 60 * k * MINUTE
-        m = measure_pair(*lab.pair(t), lab.site, calibration)
-        truth = lab.world.truth(t, reference_utc(lab.world.settings))
+        t = usual.world.settings.start_utc + 60 * k * MINUTE
+        m = measure_pair(*usual.pair(t), usual.site, calibration)
+        truth = usual.world.truth(t, reference_utc(usual.world.settings))
         if m.corrected is not None:
             e = m.corrected.mm - truth.displacement_mm
             out.append((int(m.flag), e, e / np.sqrt(np.diag(m.corrected.covariance_mm2))))
@@ -67,24 +60,24 @@ def _damage_seed(pair, k, kinds):
 
 
 @pytest.mark.parametrize("seed", [5453, 5459, 5090, 5283, 5345, 9048, 9155])
-def test_odd_images_do_not_raise(lab, seed):
-    pair = lab.pair(lab.world.settings.start_utc + 100 * MINUTE)
+def test_odd_images_do_not_raise(usual, seed):
+    pair = usual.pair(usual.world.settings.start_utc + 100 * MINUTE)
     images = _damage_seed(pair, seed, (covered, shaded, noisy, blurred, dimmed, spotted))
-    m = measure_pair(*images, lab.site, lab.calibration)
+    m = measure_pair(*images, usual.site, usual.calibration)
     if m.corrected is not None:  # a "suspect" value of metres helps nobody: withhold it
         assert np.abs(m.corrected.mm).max() < 500.0
 
 
 @pytest.mark.parametrize("how", ["mirrored", "upside down", "torn"])
-def test_mirrored_or_torn_board_is_refused(lab, how):
-    pair = lab.pair(lab.world.settings.start_utc + 100 * MINUTE)
+def test_mirrored_or_torn_board_is_refused(usual, how):
+    pair = usual.pair(usual.world.settings.start_utc + 100 * MINUTE)
     p = pair[1].pixels
     q = {
         "mirrored": p[:, ::-1],
         "upside down": p[::-1],
         "torn": np.vstack([p[:150], np.roll(p[150:], 57, 1)]),
     }[how]
-    m = measure_pair(pair[0], GreyImage(np.ascontiguousarray(q)), lab.site, lab.calibration)
+    m = measure_pair(pair[0], GreyImage(np.ascontiguousarray(q)), usual.site, usual.calibration)
     assert m.flag is Flag.BAD
 
 
@@ -118,49 +111,49 @@ def test_sloppy_layout_does_not_win_over_an_exact_one():
 
 
 @pytest.mark.parametrize("factor", [1.02, 1.05, 1.1])
-def test_grossly_wrong_corners_of_one_lens_view_is_rejected(lab, factor):
+def test_grossly_wrong_corners_of_one_lens_view_is_rejected(usual, factor):
     """Also where most of its corners fade out, so that the rest fits perfectly."""
-    views = list(lab.views)
+    views = list(usual.views)
     views[2] = replace(views[2], sub=_stretch(views[2].sub, factor))
-    _, report = calibrate(views, lab.site)
+    _, report = calibrate(views, usual.site)
     assert [r["view"] for r in report.figures["rejected"]] == ["lens 2"]
 
 
-def test_a_target_that_moved_in_one_rig_view_is_noticed(lab):
+def test_a_target_that_moved_in_one_rig_view_is_noticed(usual):
     """The bridge moved by 1 mm (6 px) while one rig view was taken."""
-    views = list(lab.views)
+    views = list(usual.views)
     main = views[10].main
     moved = cv2.warpAffine(
         main.pixels, np.float32([[1, 0, 6], [0, 1, 6]]), (640, 400), borderMode=cv2.BORDER_REPLICATE
     )
     views[10] = replace(views[10], main=GreyImage(moved))
-    _, report = calibrate(views, lab.site)
+    _, report = calibrate(views, usual.site)
     assert not report.passed or report.figures["rejected"]
 
 
-def test_without_lens_views_it_does_not_pass_or_is_right(lab):
+def test_without_lens_views_it_does_not_pass_or_is_right(usual):
     """Pan and tilt alone do not determine the lens."""
-    calibration, report = calibrate(lab.views[8:], lab.site)
-    rows = _errors(lab, calibration)
+    calibration, report = calibrate(usual.views[8:], usual.site)
+    rows = _errors(usual, calibration)
     assert not report.passed or max(np.abs(z).max() for _, _, z in rows) < 3.0
 
 
-def test_calibration_without_lens_views_is_repeatable(lab):
-    a, b = (calibrate(lab.views[8:], lab.site)[0].calibrated.lens.parameters for _ in range(2))
+def test_calibration_without_lens_views_is_repeatable(usual):
+    a, b = (calibrate(usual.views[8:], usual.site)[0].calibrated.lens.parameters for _ in range(2))
     assert a == pytest.approx(b, rel=1e-5, abs=1e-6)
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3])
 @pytest.mark.parametrize("minute", [60, 100, 300])
-def test_hidden_border_rows_do_not_shift_the_board(lab, rows, minute):
+def test_hidden_border_rows_do_not_shift_the_board(usual, rows, minute):
     """Snow on the lowest rows looks like the border of the board, a row or more too high."""
-    t = lab.world.settings.start_utc + minute * MINUTE
-    main, sub = lab.pair(t)
-    px = lab.world.board_corners_px(t)
+    t = usual.world.settings.start_utc + minute * MINUTE
+    main, sub = usual.pair(t)
+    px = usual.world.board_corners_px(t)
     pixels = sub.pixels.copy()
     pixels[int(px[-1 - rows, :, 1].min() - 6) :] = 200
-    m = measure_pair(main, GreyImage(pixels), lab.site, lab.calibration)
-    truth = lab.world.truth(t, reference_utc(lab.world.settings))
+    m = measure_pair(main, GreyImage(pixels), usual.site, usual.calibration)
+    truth = usual.world.truth(t, reference_utc(usual.world.settings))
     assert m.corrected is not None, m.reasons
     assert m.flag is Flag.SUSPECT
     sigma = np.sqrt(np.diag(m.corrected.covariance_mm2))
@@ -178,10 +171,10 @@ def test_hidden_columns_of_a_board_cut_off_at_the_other_side():
     assert not seen.unambiguous or np.abs(shift).max() < 0.1
 
 
-def test_raw_of_a_disturbed_main_target_has_its_reason(lab):
+def test_raw_of_a_disturbed_main_target_has_its_reason(usual):
     """Also when the board was not seen; here four squares of a board might pass for discs."""
-    pair = lab.pair(lab.world.settings.start_utc + 100 * MINUTE)
-    alike = replace(lab.site, main=replace(lab.site.main, width_px=480, height_px=300))
+    pair = usual.pair(usual.world.settings.start_utc + 100 * MINUTE)
+    alike = replace(usual.site, main=replace(usual.site.main, width_px=480, height_px=300))
     black = GreyImage(np.zeros_like(pair[1].pixels))
-    m = measure_pair(pair[1], black, alike, lab.calibration)
+    m = measure_pair(pair[1], black, alike, usual.calibration)
     assert m.raw is None or any(r.value.startswith("main_target") for r in m.reasons)

@@ -17,15 +17,10 @@ CASES = (
 )
 
 
-@pytest.fixture(scope="module")
-def lab() -> Session:
-    return session(11000.0, SimSettings(seed=3), lens=8, rig=10)
-
-
 @pytest.mark.parametrize("case", CASES)
-def test_no_wrong_value_is_called_good(lab: Session, case: str):
+def test_no_wrong_value_is_called_good(usual: Session, case: str):
     kind, _, role = case.partition(" ")
-    there = lab.with_world(Scenario(kind, role=role or None))
+    there = usual.with_world(Scenario(kind, role=role or None))
     start = there.world.settings.start_utc
     for k in range(ROWS):
         row = there.row(start + (30 + 41 * k) * MINUTE)

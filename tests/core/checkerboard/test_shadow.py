@@ -14,10 +14,9 @@ from core.results import Flag, Reason
 from core.site import CheckerboardTarget
 from drivers.sim.geometry import TrueBoard
 from drivers.sim.render import CameraRenderer
-from drivers.sim.settings import SimSettings
 from tests.core.boards import AS_CORE, CAMERA, LENS, BoardScene
 from tests.core.scenes import MINUTE, reference_utc
-from tests.core.sessions import Session, session
+from tests.core.sessions import Session
 
 SMALL = BoardScene(turn_deg=(8.0, -6.0, 4.0))
 LARGE = BoardScene(CheckerboardTarget(13, 12, 5.0, 52.0), turn_deg=(8.0, -6.0, 4.0))
@@ -72,11 +71,6 @@ def test_the_pose_stays_true_to_its_sigma(
     assert np.sqrt(np.mean(np.square(false_mm))) < 1.6 * alone_mm
 
 
-@pytest.fixture(scope="module")
-def lab() -> Session:
-    return session(11000.0, SimSettings(seed=3), lens=8, rig=10)
-
-
 def darkened(image: GreyImage, seed: int, share: float, half_shadow_px: float) -> GreyImage:
     """An image with the light cut to `share` beyond a line that crosses it."""
     rng = np.random.default_rng(seed)
@@ -92,27 +86,27 @@ def darkened(image: GreyImage, seed: int, share: float, half_shadow_px: float) -
 @pytest.mark.parametrize("share", [0.15, 0.4, 0.7])
 @pytest.mark.parametrize("half_shadow_px", [0.5, 4.0, 20.0])
 def test_a_row_with_a_shadow_on_the_board_is_good(
-    lab: Session, share: float, half_shadow_px: float
+    usual: Session, share: float, half_shadow_px: float
 ) -> None:
     """Beyond the edge the board is seen as well as in the light, only with more noise."""
     for seed in range(3):
-        t_utc = lab.world.settings.start_utc + (100 + 70 * seed) * MINUTE
-        main, sub = lab.pair(t_utc)
+        t_utc = usual.world.settings.start_utc + (100 + 70 * seed) * MINUTE
+        main, sub = usual.pair(t_utc)
         dark = darkened(sub, seed, share, half_shadow_px)
-        row = measure_pair(main, dark, lab.site, lab.calibration)
-        truth = lab.world.truth(t_utc, reference_utc(lab.world.settings))
+        row = measure_pair(main, dark, usual.site, usual.calibration)
+        truth = usual.world.truth(t_utc, reference_utc(usual.world.settings))
         assert (row.flag, row.reasons) == (Flag.GOOD, ())
         assert row.corrected is not None
         error = row.corrected.mm - truth.displacement_mm
         assert np.abs(error / np.sqrt(np.diag(row.corrected.covariance_mm2))).max() < 4.0
 
 
-def test_something_on_the_board_is_told_beside_a_shadow(lab: Session) -> None:
+def test_something_on_the_board_is_told_beside_a_shadow(usual: Session) -> None:
     """A leaf of three squares by three, in the light, with a shadow's edge elsewhere."""
-    main, sub = lab.pair(lab.world.settings.start_utc + 100 * MINUTE)
+    main, sub = usual.pair(usual.world.settings.start_utc + 100 * MINUTE)
     height, width = sub.pixels.shape
     light = np.where(np.arange(width) < 0.7 * width, 1.0, 0.4)
     pixels = np.rint(sub.pixels * light).astype(sub.pixels.dtype)
     pixels[height // 2 : height // 2 + 60, width // 5 : width // 5 + 60] = 60
-    row = measure_pair(main, GreyImage(pixels, sub.bits), lab.site, lab.calibration)
+    row = measure_pair(main, GreyImage(pixels, sub.bits), usual.site, usual.calibration)
     assert row.reasons == (Reason.SUB_TARGET_PARTLY_HIDDEN,)

@@ -11,9 +11,8 @@ from core.arrays import FloatArray
 from core.quality.step_detection import RowSummary, StepDetector, summarise_row
 from core.results import Reason
 from core.site import QualityLimits
-from drivers.sim.settings import SimSettings
 from tests.core.scenes import MINUTE
-from tests.core.sessions import Session, session
+from tests.core.sessions import Session
 
 SIGMA_MM = 0.01
 Rows = tuple[FloatArray, FloatArray, FloatArray]
@@ -161,22 +160,16 @@ def test_a_target_that_moves_faster_than_it_may_is_told():
     assert state.judge(jumped, QualityLimits(max_step_mm=2.0))[0] == (Reason.CAMERA_BUMPED,)
 
 
-@pytest.fixture(scope="module")
-def lab() -> Session:
-    return session(11000.0, SimSettings(seed=3), lens=8, rig=10)
-
-
 @pytest.mark.parametrize("squares", [(1, 0), (2, 0), (0, 2), (-3, 0), (0.35, 0.0), (0.0, 0.5)])
-def test_rendered_boards_that_slipped_are_never_good(lab: Session, squares: tuple[float, float]):
+def test_rendered_boards_that_slipped_are_never_good(usual: Session, squares: tuple[float, float]):
     """Ten rows, four minutes apart; the board slips after six of them."""
-    state, flagged = StepDetector(), []
+    site, state, flagged = usual.with_world(), StepDetector(), []
     for k in range(10):
-        lab.world.slip_board(*(2.0 * np.array(squares) * (k >= 6)))
-        row = lab.row(lab.world.settings.start_utc + (60 + 4 * k) * MINUTE)
-        now = summarise_row(lab.calibration.calibrated, row.measurement, 240.0 * k)
+        site.world.slip_board(*(2.0 * np.array(squares) * (k >= 6)))
+        row = site.row(site.world.settings.start_utc + (60 + 4 * k) * MINUTE)
+        now = summarise_row(site.calibration.calibrated, row.measurement, 240.0 * k)
         said = ()
         if now is not None:
-            said, state = state.judge(now, lab.site.quality)
+            said, state = state.judge(now, site.site.quality)
         flagged.append(bool(said or row.measurement.reasons))
-    lab.world.slip_board(0.0, 0.0)
     assert flagged == [False] * 6 + [True] * 4

@@ -24,6 +24,7 @@ from daemon.store.records import CalibrationRecord, CameraState, GapCause, Measu
 from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
 from drivers.sim.settings import SimSettings
 from tests.laboratory import laboratory
+from tests.shared import shared_directory
 
 CONFIG = laboratory(640)
 """The laboratory site on sensors of a third of the pixels; no backend, as for `--from`."""
@@ -74,21 +75,27 @@ def ctl(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> C
 @pytest.fixture(scope="session")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory with `dcam.toml`, the frame set `set/` and its `truth.csv`; not to be changed."""
-    directory = tmp_path_factory.mktemp("bench")
-    (directory / "dcam.toml").write_text(CONFIG)
-    site = load_config(directory / "dcam.toml").site()
-    write_frame_set(directory / "set", site, SimSettings(seed=SEED), PLAN)
-    return directory
+
+    def fill(directory: Path) -> None:
+        (directory / "dcam.toml").write_text(CONFIG)
+        site = load_config(directory / "dcam.toml").site()
+        write_frame_set(directory / "set", site, SimSettings(seed=SEED), PLAN)
+
+    return shared_directory(tmp_path_factory, "bench", fill)
 
 
 @pytest.fixture(scope="session")
 def calibrated(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A state with a calibration made on the frame set; not to be changed."""
-    state = tmp_path_factory.mktemp("calibrated") / "state"
-    arguments = ["--config", bench / "dcam.toml", "--state", state]
-    command = ["calibrate", "--from", bench / "set", "--accept"]
-    assert run(cli, "dcam-ctl", [str(word) for word in (*arguments, *command)]) == 0
-    return state
+
+    def fill(directory: Path) -> None:
+        arguments = ["--config", bench / "dcam.toml", "--state", directory / "state"]
+        command = ["calibrate", "--from", bench / "set", "--accept"]
+        assert run(cli, "dcam-ctl", [str(word) for word in (*arguments, *command)]) == 0
+
+    made = shared_directory(tmp_path_factory, "calibrated", fill) / "state"
+    # SQLite makes and removes files beside a database that is read: each process reads its own.
+    return Path(shutil.copytree(made, tmp_path_factory.mktemp("calibrated") / "state"))
 
 
 @pytest.fixture
