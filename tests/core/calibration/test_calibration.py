@@ -347,7 +347,7 @@ def test_views_that_show_too_little_are_rejected_by_name(quick: Session) -> None
     )
     assert set(reasons) == {"lens 0", "lens 1", "rig 3", "rig 5"}
     assert reasons["lens 0"].startswith("no checkerboard")
-    assert "the board has 21x14" in reasons["lens 1"]
+    assert "the config says 22x15 squares" in reasons["lens 1"]
     assert reasons["rig 3"] == "no main image"
     assert "480x200" in reasons["rig 5"]
 
