@@ -12,6 +12,7 @@ from core.errors import ImageError, ImageSizeError
 from core.site import CameraGeometry
 
 _FULL_16 = float(2**16 - 1)
+"""Saturated grey value of 16 bits, DN."""
 
 PixelArray = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -34,8 +35,13 @@ class GreyImage:
 def mean_image(images: Sequence[GreyImage]) -> GreyImage:
     """Average images of a scene at rest pixel by pixel, to 16 bits.
 
-    A pixel that is saturated in one of them is so in the mean: what it should be is not known.
+    A pixel that is saturated in one image is saturated in the mean: its true value is not known.
     Raises ImageError for images of different size or depth.
+
+    >>> pixels = np.array([[100, 255]], dtype=np.uint8)
+    >>> mean = mean_image([GreyImage(pixels), GreyImage(pixels + np.array([[1, 0]], np.uint8))])
+    >>> (mean.pixels / mean.saturation_dn * 255.0).round(2).tolist()
+    [[100.5, 255.0]]
     """
     shapes = {(image.pixels.shape, image.bits) for image in images}
     if len(shapes) != 1:

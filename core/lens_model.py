@@ -27,5 +27,9 @@ class LensModel(StrEnum):
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Names of all parameters, the intrinsics of Eq. 10 first."""
+        """Names of all parameters, the intrinsics of Eq. 10 first.
+
+        >>> LensModel.RADIAL.parameters
+        ('alpha', 'beta', 'gamma', 'mu', 'nu', 'k1', 'k2')
+        """
         return ("alpha", "beta", "gamma", "mu", "nu", *self.coefficients)

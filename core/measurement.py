@@ -27,6 +27,9 @@ from core.rig.calibrated_site import CalibratedSite
 from core.rig.compensation import CommonShift, corrected_displacement, raw_displacement, rig_motion
 from core.site import CameraGeometry, Site
 
+_USED_WEIGHT = 0.5
+"""Weight from which a corner is counted as used."""
+
 
 def measure_pair(
     main: GreyImage | None,
@@ -37,8 +40,10 @@ def measure_pair(
 ) -> Measurement:
     """Measure one pair.
 
-    Discs, board, pose, rig motion, false displacement, displacement, verdict. Never raises for
-    what an image shows; None means there is no image.
+    Discs, board, pose, rig motion (Eq. 12), false shift (Eq. 15, 17), displacement (Eq. 20)
+    `d = inv(B~) (u_j - u_false_j)`, verdict; Eq. n of Lee et al. (2020), see docs/method.md. Never
+    raises for what an image shows; None means there is no image. skew_s is the trigger of the sub
+    image less that of the main one. An example is in docs/functions.md.
     """
     calibrated = calibration.calibrated
     main_seen, reasons = _see_main(main, site, calibrated)
@@ -180,7 +185,7 @@ def _diagnostics(
 ) -> Diagnostics:
     return Diagnostics(
         discs_found=0 if main is None else int(main.discs.found.sum()),
-        corners_used=0 if sub is None else int((sub.pose.weights > 0.5).sum()),
+        corners_used=0 if sub is None else int((sub.pose.weights > _USED_WEIGHT).sum()),
         main_residual_px=residual_px,
         sub_residual_px=None if sub is None else sub.pose.rms_px,
         main_contrast_dn=None if main is None else main.discs.contrast_dn,

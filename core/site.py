@@ -12,7 +12,12 @@ from core.lens_model import LensModel
 
 @dataclass(frozen=True, slots=True)
 class CameraGeometry:
-    """Nominal geometry of one camera."""
+    """Nominal geometry of one camera.
+
+    >>> camera = CameraGeometry(1920, 1200, pixel_pitch_um=5.86, focal_length_mm=6.0)
+    >>> round(camera.focal_px, 1), camera.centre_px.tolist()
+    (1023.9, [959.5, 599.5])
+    """
 
     width_px: int
     height_px: int

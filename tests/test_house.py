@@ -1,10 +1,12 @@
 """The house holds: the layers are kept and can be broken, the core is pure, the wheel is whole."""
 
 import ast
+import io
 import re
 import shutil
 import subprocess
 import sys
+import tokenize
 import tomllib
 import zipfile
 from pathlib import Path
@@ -180,3 +182,59 @@ def test_links_between_the_pages_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#]+)", page.read_text()):
         if "://" not in target:
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+def undocumented_constants(code: str) -> list[str]:
+    """Module-level names given a number, without a docstring below or a comment at or above them.
+
+    A comment above a block of assignments without a blank line stands for all of them.
+    """
+    tokens = tokenize.generate_tokens(io.StringIO(code).readline)
+    comments = {token.start[0] for token in tokens if token.type == tokenize.COMMENT}
+    body = ast.parse(code).body
+    found, block_has_comment, last_line = [], False, 0
+    for node, after in zip(body, [*body[1:], None], strict=True):
+        if not isinstance(node, (ast.Assign, ast.AnnAssign)):
+            continue
+        if node.lineno != last_line + 1 or node.lineno - 1 in comments:
+            block_has_comment = node.lineno - 1 in comments
+        last_line = node.end_lineno or node.lineno
+        beside = not comments.isdisjoint(range(node.lineno, last_line + 1))
+        below = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+        if has_number(node.value) and not (block_has_comment or beside or below):
+            found.append(ast.unparse(node).partition(" = ")[0])
+    return found
+
+
+def has_number(value: ast.expr | None) -> bool:
+    """Whether there is a number in an expression."""
+    return value is not None and any(
+        isinstance(node, ast.Constant) and type(node.value) in {int, float}
+        for node in ast.walk(value)
+    )
+
+
+@pytest.mark.parametrize(
+    "path",
+    [path for path in python_files("core") if path.parent.name != "discs"],
+    ids=lambda path: path.name,
+)
+def test_every_constant_of_core_says_what_it_means(path: Path) -> None:
+    """A threshold, floor or factor without unit and origin can be neither trusted nor changed."""
+    assert undocumented_constants(path.read_text()) == []
+
+
+@pytest.mark.parametrize(
+    ("code", "names"),
+    [
+        ("A = 1\n", ["A"]),
+        ('A = 1\n"""Why."""\n', []),
+        ("A = 1  # why\n", []),
+        ("# why\nA = 1\nB = 2 * A\n", []),
+        ("# why\nA = 1\n\nB = 2\n", ["B"]),
+        ("A, B = 1.0, np.float32(2)\n", ["A, B"]),
+        ('A: float = 1.0\nNAME = "x"\nFLAG = True\n', ["A: float"]),
+    ],
+)
+def test_an_undocumented_constant_is_noticed(code: str, names: list[str]) -> None:
+    assert undocumented_constants(code) == names

@@ -3,7 +3,7 @@
 Unknowns: the lens (core.geometry.lens), the board's shape (two print scales, shear, a bow of fourth
 degree, the place of every printed line and of every corner, see core.checkerboard.board_shape), the
 pose of every view, and the rig. Priors keep what the views do not determine at what the survey
-says; the nominal board is a prior too. How far lines and corners are from it is estimated along
+says; the nominal board is a prior too. How far lines and corners are from it is estimated
 with them. Source: Lee et al. (2020) Eq. 10-12 for the sub-camera; the rest is bundle adjustment
 after Triggs et al., "Bundle adjustment - a modern synthesis" (2000), section 6; the estimate of the
 spreads is that of MacKay, "Bayesian interpolation" (1992), section 4.
@@ -32,13 +32,20 @@ from core.geometry.pose import Pose
 from core.rig.posterior import Posterior
 from core.rig.rigid import MainView, Rig
 
-_TOLERANT = 30.0
+_START_SCALE = 30.0
+"""Residuals over their predicted size, at the start: no corner is down-weighted while the fit is
+still that bad."""
 _WORSE = 2.0
-"""By so much larger residuals than before are the step's fault."""
-_SETTLED, _SETTLED_SIGMAS, _SPREAD_SETTLED = 1e-3, 0.02, 0.03
-_LINE_FLOOR_MM, _CORNER_FLOOR_MM = 3e-4, 5e-5
-_PSEUDO_LINES, _PSEUDO_LINE_MM = 2.0, 5e-3
-"""A board has few lines: their spread is drawn a little towards that of a fair print."""
+"""Residuals that grow by this factor are the step's fault, not outliers."""
+_SETTLED_SCALE, _SETTLED_SIGMAS, _SETTLED_SPREAD = 1e-3, 0.02, 0.03
+"""Changes after which the fit stops: of the residuals' scale, relative; of the parameters, in their
+sigmas; of the print's spreads, relative."""
+_LEAST_LINE_MM, _LEAST_CORNER_MM = 3e-4, 5e-5
+"""1 sigma of a print at least, so that a perfect one does not fix its own corners."""
+_PRIOR_LINES, _PRIOR_LINE_MM = 2.0, 5e-3
+"""A board has few lines: their spread counts so many more lines of a fair print's spread."""
+_ITERATIONS = 40
+"""At most; the limits above stop it before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +81,7 @@ def adjust(
     priors: AdjustmentPriors,
     start_rig: Rig | None = None,
     main_views: Sequence[MainView | None] = (),
-    iterations: int = 40,
+    iterations: int = _ITERATIONS,
 ) -> AdjustmentResult:
     """Adjust everything to all views.
 
@@ -83,16 +90,16 @@ def adjust(
     """
     problem, state = _begin(board, views, start_lens, start_poses, priors, start_rig, main_views)
     spreads = PrintSpread(priors.line_mm, priors.line_mm, priors.corner_mm)
-    scale = _TOLERANT  # at first, then let the weights tighten as the fit gets good
+    scale = _START_SCALE  # at first, then let the weights tighten as the fit gets good
     for _ in range(iterations):
         system = problem.linearise(state, scale, spreads)
         if system.scale > _WORSE * scale:  # the step went too far: these are no outliers
             system = problem.linearise(state, system.scale, spreads)
         step, offset_step, sigmas = system.solve()
         state = problem.step(state, step, offset_step)
-        if sigmas < _SETTLED_SIGMAS and abs(system.scale - scale) < _SETTLED * scale:
+        if sigmas < _SETTLED_SIGMAS and abs(system.scale - scale) < _SETTLED_SCALE * scale:
             renewed = _renewed(spreads, problem, state, system, board.columns)
-            if spreads.agrees_with(renewed, _SPREAD_SETTLED):
+            if spreads.agrees_with(renewed, _SETTLED_SPREAD):
                 break
             spreads = renewed
         scale = system.scale
@@ -149,7 +156,7 @@ def _adjusted(
     spreads: PrintSpread,
     system: NormalEquations,
 ) -> AdjustmentResult:
-    """Put together what is told; the system is that of this state."""
+    """Put the result together; the system is that of this state."""
     return AdjustmentResult(
         state.lens,
         state.shape[:SHAPE_PARAMETERS],
@@ -173,7 +180,7 @@ def _renewed(
     system: NormalEquations,
     columns: int,
 ) -> PrintSpread:
-    """The spreads that the fitted lines and corners speak for.
+    """Estimate the spreads again from the fitted lines and corners (MacKay 1992).
 
     sum of squares = gamma sigma^2, with gamma the number of well-determined ones:
     n - trace(posterior covariance) / sigma^2.
@@ -185,7 +192,7 @@ def _renewed(
         own = np.trace(np.linalg.inv(system.corner), axis1=1, axis2=2) * system.scale**2
         freedom = 2.0 * len(own) - float(own.sum()) / corner**2
         squares = float((state.offsets_mm**2).sum())
-        corner = max(float(np.sqrt(squares / max(freedom, 1.0))), _CORNER_FLOOR_MM)
+        corner = max(float(np.sqrt(squares / max(freedom, 1.0))), _LEAST_CORNER_MM)
     return replace(
         spreads,
         column_mm=_line_spread(spreads.column_mm, lines[:columns], variance[:columns]),
@@ -198,9 +205,9 @@ def _line_spread(sigma_mm: float, lines_mm: FloatArray, variance_mm2: FloatArray
     if sigma_mm == 0.0:
         return 0.0
     freedom = len(lines_mm) - float(variance_mm2.sum()) / sigma_mm**2
-    squares = float((lines_mm**2).sum()) + _PSEUDO_LINES * _PSEUDO_LINE_MM**2
-    renewed = float(np.sqrt(squares / (max(freedom, 0.0) + _PSEUDO_LINES)))
-    return max(renewed, _LINE_FLOOR_MM)
+    squares = float((lines_mm**2).sum()) + _PRIOR_LINES * _PRIOR_LINE_MM**2
+    renewed = float(np.sqrt(squares / (max(freedom, 0.0) + _PRIOR_LINES)))
+    return max(renewed, _LEAST_LINE_MM)
 
 
 __all__ = ["AdjustmentPriors", "AdjustmentResult", "PrintSpread", "adjust", "predict_adjustment"]

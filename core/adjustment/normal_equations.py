@@ -1,4 +1,4 @@
-"""The normal equations of the adjustment: what each view and each prior adds, and their inverse.
+"""The normal equations of the adjustment: what each view and prior adds, and their inverse.
 
 The corners' own offsets, some thousand, are eliminated corner by corner (Schur complement), so
 that a step solves a dense system of a few hundred unknowns.
@@ -20,6 +20,15 @@ from core.geometry.lens import Lens
 from core.geometry.pose import Pose
 from core.rig.posterior import Posterior
 from core.rig.rigid import RIG_PARAMETERS, MainView, Rig, rig_residuals
+
+_FIXED = 1e12
+"""Information on a parameter that is kept where it is: more than any view gives, and solvable."""
+_LEAST_SIGMA = 1e-12
+"""So that a sigma of 0 (kept) does not divide by zero before it is replaced."""
+_LEAST_CORNER_MM = 1e-9
+"""1 sigma that keeps corners on their lines."""
+_LEAST_FREEDOM = 0.5
+"""Degrees of freedom over residuals, at least: below it the views are too few to say."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +225,7 @@ class AdjustmentProblem:
         residuals = 2 * sum(len(view.index) for view in self.views)
         seen = len(np.unique(np.concatenate([view.index for view in self.views])))
         unknowns = self.layout.size + 2 * seen
-        return float(np.sqrt(residuals / max(residuals - unknowns, 0.5 * residuals)))
+        return float(np.sqrt(residuals / max(residuals - unknowns, _LEAST_FREEDOM * residuals)))
 
     def _add_board_view(
         self, system: NormalEquations, state: AdjustmentState, v: int, scale: float
@@ -303,16 +312,16 @@ class AdjustmentProblem:
         sigma[layout.lines][columns:] = spreads.row_mm
         self._add_square_pixels(system, state.lens)
         # The corners' residuals are weighted by their predicted size; priors are in true units.
-        weight = np.where(sigma > 0, system.scale**2 / np.maximum(sigma, 1e-12) ** 2, 0.0)
+        weight = np.where(sigma > 0, system.scale**2 / np.maximum(sigma, _LEAST_SIGMA) ** 2, 0.0)
         system.dense[np.diag_indices(layout.size)] += weight
         system.right += weight * deviation
         fixed = sigma == 0
         system.dense[fixed, :] = 0.0
         system.dense[:, fixed] = 0.0
-        system.dense[fixed, fixed] = 1e12
+        system.dense[fixed, fixed] = _FIXED
         system.right[fixed] = 0.0
         system.cross[:, :, fixed] = 0.0
-        corner_sigma = max(spreads.corner_mm, 1e-9)
+        corner_sigma = max(spreads.corner_mm, _LEAST_CORNER_MM)
         system.corner += np.eye(2) * (system.scale / corner_sigma) ** 2
         system.corner_right -= state.offsets_mm * (system.scale / corner_sigma) ** 2
 

@@ -66,8 +66,10 @@ def calibrate(
 ) -> tuple[Calibration, CalibrationReport]:
     """Calibrate a site from its views: lens views, one reference, rig positions.
 
-    `rigid` adjusts lens, board, poses and rig jointly with the survey as prior; `paper` fits
-    the lens alone to the nominal board, then the nine parameters of Eq. 18. `skew` lets the
+    `rigid` adjusts lens, board, poses and rig jointly with the survey as prior:
+    `u = pi(K_M, R_CM_CS (R_j p + T_j) + t_CM_CS)`; `paper` fits the lens alone to the nominal
+    board, then the nine parameters of Eq. 18, `du_j = B [R_j - I, T_j] [p; 1]` (Lee et al. 2020;
+    docs/method.md says how far to trust either, docs/functions.md has an example). `skew` lets the
     lens's gamma of Eq. 10 vary. Views that cannot be used are named in the report, and so are
     those that could not be read before: `unreadable` has the reason of each.
     Raises CalibrationError, and NotObservableError if the motions determine too little.

@@ -37,12 +37,22 @@ from core.site import Site
 _SCALE_SIGMA = 2e-3
 """Relative: the target may be tilted, and printed to a part in a thousand."""
 _CLEAN = 0.9
-_MISFIT_FACTOR = 4.0
-_MISFIT_FLOOR_PX = 0.003
-_MISFIT_KEPT = 0.6
+"""Share of a disc's pixels that its model explains, for the disc to count. Insensitive below."""
+_OUTLIER_FACTOR, _OUTLIER_FLOOR_PX = 4.0, 0.003
+"""A view does not fit whose corners miss by so many times what those of most views do, the median
+being at least so large. Insensitive."""
+_LEAST_KEPT = 0.6
+"""Mean weight of a view's corners, for it to fit: most must. Insensitive below."""
 _MOVED_FACTOR, _MOVED_FLOOR_PX = 6.0, 0.1
+"""The main target had moved where it is off by so many times what it is in most views, and by so
+much: 0.008 mm at 12 px/mm. Insensitive."""
+_MOST_OUTLIERS, _MOST_MOVED = 0.4, 0.3
+"""Share of the views that may be left out as not fitting, or as taken with the target moved: with
+more it is not known which are right."""
 _HOLD_OUT_EVERY = 4
+"""Every fourth rig view is held out of the fit that validates: five of twenty-one."""
 MIN_LENS_VIEWS = 3
+"""Zhang's method needs three views of a plane for all five intrinsics."""
 
 
 class Method(StrEnum):
@@ -228,10 +238,10 @@ def reject_outlier_views(fit: Fit, options: FitOptions) -> tuple[Fit, list[Rejec
     rms = np.array(fit.adjustment.view_rms_px)
     typical = float(np.median(rms))
     kept = np.array(fit.adjustment.view_kept)
-    bad = (rms > _MISFIT_FACTOR * max(typical, _MISFIT_FLOOR_PX)) | (kept < _MISFIT_KEPT)
+    bad = (rms > _OUTLIER_FACTOR * max(typical, _OUTLIER_FLOOR_PX)) | (kept < _LEAST_KEPT)
     if not bad.any():
         return fit, []
-    if bad[0] or bad.sum() > 0.4 * len(bad):
+    if bad[0] or bad.sum() > _MOST_OUTLIERS * len(bad):
         msg = (
             f"calibration: {int(bad.sum())} of {len(bad)} views do not fit the others"
             f"{', the reference among them' if bad[0] else ''}; was the lens or the board touched?"
@@ -265,7 +275,7 @@ def reject_moved_targets(fit: Fit, options: FitOptions) -> tuple[Fit, list[Rejec
     )
     typical = float(np.median(off))
     bad = off > max(_MOVED_FACTOR * typical, _MOVED_FLOOR_PX)
-    if options.method is not Method.RIGID or not bad.any() or bad.sum() > 0.3 * len(bad):
+    if options.method is not Method.RIGID or not bad.any() or bad.sum() > _MOST_MOVED * len(bad):
         return fit, []
     rejected = [
         (view.name, f"main target off by {miss:.2f} px, in the other views by {typical:.2f} px")

@@ -11,13 +11,14 @@ from core.adjustment.normal_equations import AdjustmentPriors
 from core.arrays import FloatArray, IntArray
 from core.calibration.views import LensView, Views
 from core.checkerboard.board import Board
+from core.checkerboard.corners import CLEARLY_BETTER
 from core.checkerboard.resection import BoardView, resect
 from core.geometry.lens import Lens
 from core.lens.intrinsics import lens_prior
 from core.site import Site
 
-_CLEARLY_BETTER = 1.5
 _LEAST_VIEWS = 3
+"""Lens views that show a border each way: so many determine how the board was printed."""
 
 
 def place_reference(views: Views, lens: Lens, site: Site, board: Board) -> Views:
@@ -35,7 +36,7 @@ def place_reference(views: Views, lens: Lens, site: Site, board: Board) -> Views
     places = [replace(seen, index=index) for index in _places(seen.index, board)]
     outliers = [resect(lens, corners_mm, place).median_rms_px for place in places]
     order = np.argsort(outliers)
-    if len(order) > 1 and outliers[order[1]] < _CLEARLY_BETTER * outliers[order[0]]:
+    if len(order) > 1 and outliers[order[1]] < CLEARLY_BETTER * outliers[order[0]]:
         return views
     placed = replace(views.reference.board, view=places[order[0]], unambiguous=True)
     return replace(views, reference=replace(views.reference, board=placed))

@@ -29,12 +29,13 @@ from core.lens.lens_choice import LensChoice
 from core.lens.lens_coverage import lens_coverage
 from core.results import CalibrationReport
 from core.rig.calibrated_site import CalibratedSite
-from core.rig.compensation import affine_error_px
+from core.rig.compensation import AFFINE_LIMIT_PX, affine_error_px
 from core.rig.paper import PaperModel
 from core.rig.rigid import Rig
 from core.site import Site
 
 _FEW_LENS_VIEWS = 10
+"""Fewer are warned of; 12 are asked for (docs/method.md)."""
 _FAR_SIGMAS = 4.5
 """Three angles drawn by chance are 3.5 sigma off at one site in 150, 4.5 at one in 7000."""
 
@@ -163,7 +164,7 @@ def _warnings(fit: Fit, figures: dict[str, Any]) -> list[str]:
             "warning: which part of the board the reference shows is not certain; let at least "
             "one border of the board into the sub image in each direction"
         )
-    if figures["affine_error_px"] > 1.0:
+    if figures["affine_error_px"] > AFFINE_LIMIT_PX:
         warnings.append(
             f"warning: Eq. 5 fails ({figures['affine_error_px']:.1f} px for the expected drift); "
             "the paper's affine camera does not hold here, the rigid method does not need it"

@@ -1,7 +1,7 @@
 """How a printed board may differ from the nominal one: scale, shear, bow, lines, corners.
 
 A printer puts each line in a place of its own, so an error of a line is common to all corners on
-it; what is left is each corner's own. How large either is, differs from print to print, and is
+it; the rest is each corner's own error. Their sizes differ from print to print and are
 estimated with the board (core.adjustment.bundle_adjustment).
 """
 
@@ -17,7 +17,12 @@ SHAPE_PARAMETERS = 13
 
 
 def shape_terms(board: Board) -> FloatArray:
-    """d(corner)/d(shape) (corners, 3, 13): scale x, scale y, shear, then ten terms of bow."""
+    """d(corner)/d(shape) (corners, 3, 13): scale x, scale y, shear, then ten terms of bow.
+
+    >>> terms = shape_terms(Board.of_squares(10, 7, 30.0))
+    >>> terms[-1, 0, 0].item(), terms[-1, 2, 3].item()  # mm: of a scale of 2; a bow of 1 mm
+    (120.0, 1.0)
+    """
     flat = board.corners_mm
     centre = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
     x, y = (flat - centre)[:, 0], (flat - centre)[:, 1]

@@ -1,7 +1,9 @@
 """Compiled sums over the pixels about a checkerboard's corner: its grey-value model.
 
-The loops that cost are in single precision, without branches and without stores, so that they run
-on vector units: eight pixels take as long as one. What their rounding adds is below 1e-5 px.
+The loops over pixels are in single precision, without branches and without stores, so that they
+run on vector units: eight pixels take as long as one. Their rounding adds less than 1e-5 px.
+How the compiler orders their sums depends on how they are written: rewriting a line here, even as
+one that says the same, moves values by some 1e-7 mm.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from core.arrays import FloatArray
 from core.compiled import compiled
 
 CORNER_PARAMETERS = 9
+"""Of the model with slopes of the light."""
 GAIN, BLUR, SHIFT = 3, 6, 7
 """Where a corner's parameters hold the gain, the blur and (two) the shift.
 
@@ -23,9 +26,25 @@ so that the Cholesky factor of the normal matrix ends with the information on th
 EVEN_PARAMETERS = 5
 """Offset, gain, blur, shift: where the slopes are known."""
 SCALARS = 32
+"""How many scalars `c` the loops share for a corner:
+
+c[0:5], c[5:10]: its two edges, the terms u, v, u^2, u v, v^2 of the distance from each, px;
+c[10:16]: offset and its slopes by u and v, gain and its slopes, DN and DN/px;
+c[16], c[30:32]: 1 / blur, 1/px, and its slopes by u and v; c[17:19]: the shift, px;
+c[19]: 1 / 9 where pixels that miss by more than 3 sigma fade, 0 where all count in full;
+c[20]: grey value of a saturated pixel, DN;
+c[21:25]: d(distance)/d(u, v) of the first edge, then of the second;
+c[25:29]: variance of a grey value: at 0, per DN, least and most, DN^2;
+c[29]: what the model may miss by its own fault, DN^2.
+"""
 
 _ONE, _ZERO = np.float32(1.0), np.float32(0.0)
-_FAR, _FLAT = np.float32(3.5), np.float32(2.5)
+"""In single precision: a literal would turn the whole loop to double."""
+_FAR = np.float32(3.5)
+"""Blur widths from an edge beyond which the profile is taken as flat: to 2e-4 of the contrast."""
+_FLAT = np.float32(2.5)
+"""Blur widths from both edges beyond which a pixel shows the noise: the edge leaves 0.6 % of the
+contrast there."""
 # erf(z / sqrt 2) / z and its derivative by z as polynomials of z^2 up to _FAR, by least squares;
 # right to 5e-5 and 2e-3. Both are even, so that what they lack shifts nothing.
 _E = (0.797603084, -0.132069732, 0.019075051, -0.00199318357, 1.39718096e-4, -5.77346843e-6)
@@ -54,7 +73,7 @@ def accumulate(
     is, faded ones counted in part.
 
     The model is offset + gain * edge(x) * edge(y), offset and gain linear in (u, v), x and y the
-    distances in px from the edges, polynomials of (u, v) less the shift. c: see `_pack`.
+    distances in px from the edges, polynomials of (u, v) less the shift. c: see SCALARS.
     """
     x_u, x_v, x_uu, x_uv, x_vv = c[0], c[1], c[2], c[3], c[4]
     y_u, y_v, y_uu, y_uv, y_vv = c[5], c[6], c[7], c[8], c[9]
@@ -88,7 +107,7 @@ def accumulate(
         by_u, by_v = by_x * c[21] + by_y * c[23], by_x * c[22] + by_y * c[24]
         by_blur = by_x * z_x + by_y * z_y
         variance = min(max(dark + by_grey * model, least), most)
-        # Full weight within 3 times the scale, fading as Geman-McClure beyond.
+        # Full weight within 3 sigma, beyond it that of Geman and McClure (1987).
         beyond = max(fading * miss * miss / (variance + slack), _ONE)
         faded = _ONE / (beyond * beyond)
         faded = _ZERO if model >= saturation and greys[i] >= saturation else faded

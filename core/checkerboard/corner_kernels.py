@@ -24,12 +24,29 @@ from core.grey_fit import MIN_PIXELS, solve_spd
 from core.images import PixelArray
 
 _LANES = 16
+"""Samples are filled up to a multiple of this: as many single-precision numbers as a wide vector
+unit holds."""
 _SETTLED_PX = 0.01
-"""After such a step the next one would be a hundred times smaller."""
+"""A step of the shift that is the last: the next would be a hundred times smaller."""
 _NEARLY_PX = 0.05
-"""And after such a one, from gain, offset and blur that are nearly right."""
+"""Likewise where gain, offset and blur start nearly right."""
 NO_SIDES = np.zeros((0, 2, 3))
-_ONE, _ZERO = np.float32(1.0), np.float32(0.0)
+"""For `fit_corners` where the noise is not asked for."""
+_NEARLY_SATURATED = 0.99
+"""Of full scale: the mean of a box that holds a saturated pixel."""
+_LEAST_BLUR_PX, _MOST_BLUR_PX = 0.35, 6.0
+"""1-sigma width of the edges. A pixel's own square makes 0.29; corners with more than 5.9 are not
+used."""
+_MOST_SHIFT = 0.5
+"""Of half the window: a fit that goes further has left its corner."""
+_LEAST_GAIN_SHARE = 0.3
+"""Of the guessed gain that the first step must leave, for the shift to be scaled by their ratio."""
+_LEAST_A_SIDE = 8.0
+"""Pixels, bright and dark, from which offset and gain start."""
+_LEAST_SLOPE, _MOST_REACH_PX = 1e-6, 1e6
+"""Of an edge across a row; one that runs along it is taken as crossing so far away."""
+_ZERO = np.float32(0.0)
+"""In single precision, as the samples."""
 
 
 @compiled
@@ -49,8 +66,8 @@ def _pack(
 ) -> None:  # fmt: skip
     """Put parameters, saturation and what makes the pixel weights into c[10:21] and c[25:32].
 
-    blur (3,): where it began, its slopes by u and v, which are not fitted; slack: what the model
-    may miss, squared; 0 lets no pixel fade.
+    p (9,): see `corner_equations.GAIN`; blur (3,): where it began, and its slopes by u and v, which
+    are not fitted; slack: what the model may miss, squared; 0 lets no pixel fade. c: see SCALARS.
     """
     for k in range(CORNER_PARAMETERS):
         c[10 + k] = p[k]
@@ -66,7 +83,7 @@ def _pack(
 
 @compiled
 def _per(slope: float) -> float:
-    return 1.0 / slope if abs(slope) > 1e-6 else 1e6
+    return 1.0 / slope if abs(slope) > _LEAST_SLOPE else _MOST_REACH_PX
 
 
 @compiled
@@ -113,7 +130,7 @@ def _gather_flats(
 ) -> int:  # fmt: skip
     """Append the means of boxes that lie in the squares, off the edges, and are not saturated."""
     reach_x, reach_y = limits[0] / limits[4], limits[0] / limits[5]
-    gap, full = limits[2], 0.99 * limits[3]
+    gap, full = limits[2], _NEARLY_SATURATED * limits[3]
     middle = 0.5 * (BOX - 1)
     first_u = max(0, math.ceil((at[0] - half - middle) / BOX))
     last_u = min(boxes.shape[1] - 1, math.floor((at[0] + half - middle) / BOX))
@@ -143,7 +160,7 @@ def _start(samples: FloatArray, count: int, c: FloatArray, p: FloatArray) -> boo
         there = n - here
         same, other = same + here * samples[2, i], other + there * samples[2, i]
         n_same, n_other = n_same + here, n_other + there
-    if n_same < 8.0 or n_other < 8.0:
+    if n_same < _LEAST_A_SIDE or n_other < _LEAST_A_SIDE:
         return False
     same, other = same / n_same, other / n_other
     p[:] = 0.0
@@ -214,15 +231,15 @@ def fit_corners(
             for a in range(n):
                 p[a] += step[a]
                 squares -= step[a] * right[a]  # the sum after the step, which is not evaluated
-            if turn == 0 and abs(p[GAIN]) > 0.3 * abs(gain):
+            if turn == 0 and abs(p[GAIN]) > _LEAST_GAIN_SHARE * abs(gain):
                 # The first step was found with a gain that was only guessed.
                 p[SHIFT] *= gain / p[GAIN]
                 p[SHIFT + 1] *= gain / p[GAIN]
             moved_px = abs(step[SHIFT]) + abs(step[SHIFT + 1])
             if turn > 0 and moved_px < settled_px:
                 break
-            p[BLUR] = min(max(p[BLUR], 0.35), 6.0)
-            if abs(p[SHIFT]) + abs(p[SHIFT + 1]) > 0.5 * half[k]:
+            p[BLUR] = min(max(p[BLUR], _LEAST_BLUR_PX), _MOST_BLUR_PX)
+            if abs(p[SHIFT]) + abs(p[SHIFT + 1]) > _MOST_SHIFT * half[k]:
                 usable = False
                 break
         figures[k, 0], figures[k, 1] = squares, effective_count - n
@@ -256,7 +273,7 @@ def fit_even_corners(
         m, p = maps[k], state[k]
         figures[k, :] = 0.0
         if not fit_light_planes(
-            boxes, points[k], m, limits[2], 0.99 * limits[3], noise, parts, planes
+            boxes, points[k], m, limits[2], _NEARLY_SATURATED * limits[3], noise, parts, planes
         ):
             continue
         _edges_in_px(m, c)
@@ -284,11 +301,11 @@ def fit_even_corners(
                 squares -= step[a] * right[a]
             p[0] += step[0]
             p[GAIN] += step[1]
-            p[BLUR] = min(max(p[BLUR] + step[2], 0.35), 6.0)
+            p[BLUR] = min(max(p[BLUR] + step[2], _LEAST_BLUR_PX), _MOST_BLUR_PX)
             p[SHIFT] += step[3]
             p[SHIFT + 1] += step[4]
             moved_px = abs(step[3]) + abs(step[4])
-            if abs(p[SHIFT]) + abs(p[SHIFT + 1]) > 0.5 * half[k]:
+            if abs(p[SHIFT]) + abs(p[SHIFT + 1]) > _MOST_SHIFT * half[k]:
                 usable = False
             if moved_px < _NEARLY_PX or not usable:
                 break

@@ -32,14 +32,30 @@ from core.images import GreyImage
 _FIRST_REACH_PX, _FIRST_REACH_SQUARES = 7.0, 0.3
 """Small at first: without the lens, the edges are only straight near the corner."""
 _STENCIL_SQUARES = 0.5
-_CLEARLY_BETTER = 1.5
+"""Spacing of the 3 x 3 board points whose images give a corner's map. Insensitive."""
+CLEARLY_BETTER = 1.5
+"""Ratio of residuals from which one place on the board is preferred to another. Lines printed 5 um
+off are 0.1 px at 20 px/mm, ten times the noise of a corner; by chance the ratio of two medians over
+some hundred corners stays within a few per cent of 1."""
+_ROUGH_SIGMA_PX = 0.05
+"""1 sigma of a corner before its fit: a saddle point's refinement by a parabola."""
 _ROUGH_MISFIT_SQUARES = 0.1
+"""A lattice whose corners miss the board by more, by the median, is not the board's.
+Insensitive."""
 _ROUGHLY = 1e-6
+"""A step of the rough pose that is the last, rad and mm: 0.0001 px. Insensitive."""
 _LEAST_SQUARE_PX = 9.0
 """Squares that are larger than this in a smaller image are found in it."""
 _MOST = 0.9
+"""Of the corners wanted: a smaller image that shows so many is enough. Insensitive."""
 _BLIND_SHRUNK_PX = 9.0
 """So near to the edge of a shrunk image, in its own px, no corner is found."""
+_MOST_NOISE, _LEAST_CONTRAST, _LEAST_SNR = 3.0, 0.3, 3.0
+"""A corner is odd with so many times the median noise, less than this share of the median contrast,
+or a contrast below so many times its own noise. Chosen: an insect, a drop or print dust is
+beyond."""
+_MOST_BLUR_PX = 5.9
+"""A blur at the limit of the fit (6 px) is no blur: the corner is covered."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +91,12 @@ def detect_board(image: GreyImage, board: Board) -> LocatedBoard:
     """Find the board without a guess and without a lens; it may be partly outside the image.
 
     Raises TargetNotFoundError.
+
+    >>> squares = np.indices((7, 10)).sum(axis=0) % 2  # the first one is black
+    >>> pixels = np.pad(np.kron(squares, np.full((30, 30), 200, np.uint8)), 20, constant_values=200)
+    >>> found = detect_board(GreyImage(pixels), Board.of_squares(10, 7, 30.0))
+    >>> len(found.view.index), found.unambiguous, found.view.points_px[0].round(2).tolist()
+    (54, True, [49.5, 49.5])
     """
     height, width = image.pixels.shape
     indexed = index_by_borders(_lattice(image), board, width, height)
@@ -113,7 +135,7 @@ def locate_board(
         tried.append((resect(lens, corners_mm, located.view, pose).median_rms_px, located))
     nearest = tried[0][1]
     tried.sort(key=lambda attempt: attempt[0])
-    if tried[1][0] > _CLEARLY_BETTER * tried[0][0]:
+    if tried[1][0] > CLEARLY_BETTER * tried[0][0]:
         return replace(tried[0][1], unambiguous=True)
     return nearest
 
@@ -122,7 +144,7 @@ def _rough_pose(
     lens: Lens, corners_mm: FloatArray, indexed: IndexedLattice, expected: Pose
 ) -> Pose:
     """Pose from corners that are right to some hundredths of a pixel."""
-    covariance = np.broadcast_to(0.05**2 * np.eye(2), (len(indexed.index), 2, 2))
+    covariance = np.broadcast_to(_ROUGH_SIGMA_PX**2 * np.eye(2), (len(indexed.index), 2, 2))
     view = BoardView(indexed.index, indexed.points_px, covariance)
     found = resect(lens, corners_mm, view, expected, settled=_ROUGHLY)
     step_px = float(np.median(np.linalg.norm(indexed.steps_px, axis=1)))
@@ -231,10 +253,10 @@ def _alike(fits: CornerFits) -> BoolArray:
     noise = np.median(fits.noise_dn[fits.usable])
     by_light = fits.contrast_dn / np.maximum(fits.light_dn, 1.0)
     return np.asarray(
-        (fits.noise_dn < 3.0 * noise)
-        & (by_light > 0.3 * np.median(by_light[fits.usable]))
-        & (fits.contrast_dn > 3.0 * fits.noise_dn)
-        & (fits.blur_px < 5.9)
+        (fits.noise_dn < _MOST_NOISE * noise)
+        & (by_light > _LEAST_CONTRAST * np.median(by_light[fits.usable]))
+        & (fits.contrast_dn > _LEAST_SNR * fits.noise_dn)
+        & (fits.blur_px < _MOST_BLUR_PX)
     )
 
 

@@ -1,4 +1,4 @@
-"""Saddle points joined into the lattice of a checkerboard, and the lattice named."""
+"""Saddle points joined into the lattice of a checkerboard, and the lattice's place on the board."""
 
 from __future__ import annotations
 
@@ -15,8 +15,20 @@ from core.checkerboard.saddle_points import SaddlePoints
 from core.errors import NotRecognisedError, TargetNotFoundError
 
 _NEIGHBOURS = 13
+"""Nearest saddle points among which a corner's four neighbours are sought, itself counted in.
+Chosen: twelve reach the next corner along each edge where it looks twice as far as across it;
+insensitive."""
 _MIN_CORNERS = 12
+"""Of a lattice: fewer also come about by chance, in foliage or brickwork."""
 BLIND_PX = 12.0
+"""Nearer to the edge of an image no saddle point is found: its ring and its blur would not fit."""
+_LEAST_BORDER_CORNERS = 3
+"""Of a border: so many corners must have a next one that ought to be in the image."""
+_MOST_OF_BORDER = 0.5
+"""The share of those next corners that must lie well inside the image: more than half."""
+_CLEARLY_NEARER = 0.5
+"""The prediction decides if it is no further from one place than this share of the distance to the
+next one, two squares on or a diagonal step: off by a third of that step it still decides."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +46,14 @@ class Lattice:
 
 
 def build_lattice(saddles: SaddlePoints, blind_px: float = BLIND_PX) -> Lattice:
-    """Join saddles into the largest lattice. Raises TargetNotFoundError."""
+    """Join saddle points into the largest lattice. Raises TargetNotFoundError.
+
+    >>> from core.checkerboard.saddle_points import find_saddle_points
+    >>> image = np.kron(np.indices((5, 6)).sum(axis=0) % 2, np.full((20, 20), 200.0))
+    >>> lattice = build_lattice(find_saddle_points(image))
+    >>> (lattice.ij.max(axis=0) + 1).tolist()
+    [5, 4]
+    """
     if len(saddles.points_px) < _MIN_CORNERS:
         msg = f"no checkerboard: only {len(saddles.points_px)} corner candidates in the image"
         raise TargetNotFoundError(msg)
@@ -106,7 +125,7 @@ def index_by_borders(
 ) -> IndexedLattice:
     """Find which corners of the board a lattice shows, from its parity and the board's border.
 
-    Where several positions remain, the middle one is taken and `certain` is False. Turns by
+    Where several positions remain, the middle one is taken and `unambiguous` is False. Turns by
     quarter turns are tried in the order upright, right, left, upside down.
     Raises TargetNotFoundError.
     """
@@ -127,7 +146,7 @@ def index_near(
     """Give the places that a lattice may have on the board, the nearest to a prediction first.
 
     expected_px (corners, 2) is the predicted image of all corners. One place comes back, and is
-    certain, if the prediction decides clearly and the borders seen do not speak against it.
+    unambiguous, if the prediction decides clearly and the borders seen do not speak against it.
     What covers a part of the board can look like its border, so the nearest place counts even
     against the borders. Raises TargetNotFoundError.
     """
@@ -143,7 +162,11 @@ def index_near(
     bordered = _at_borders(lattice, board, places, width_px, height_px)
     candidates = [places[0], *bordered[:1]]
     # Places lie a diagonal step apart or more; the prediction must be much nearer to one.
-    if len(places) > 1 and len(bordered) != 1 and away[places[0]] > 0.5 * away[places[1]]:
+    if (
+        len(places) > 1
+        and len(bordered) != 1
+        and away[places[0]] > _CLEARLY_NEARER * away[places[1]]
+    ):
         candidates.append(places[1])
     unique = list(dict.fromkeys(candidates))
     return tuple(_indexed(lattice, board, place, unambiguous=len(unique) == 1) for place in unique)
@@ -235,7 +258,7 @@ def _borders(lattice: Lattice, width_px: int, height_px: int) -> BoolArray:
             last, before = (lines[1], lines[2]) if end == 0 else (lines[-2], lines[-3])
             beyond = 2.0 * last - before
             beyond = beyond[np.isfinite(beyond).all(axis=1)]
-            if len(beyond) < 3:
+            if len(beyond) < _LEAST_BORDER_CORNERS:
                 continue
             margin = lattice.blind_px
             inside = (
@@ -243,7 +266,7 @@ def _borders(lattice: Lattice, width_px: int, height_px: int) -> BoolArray:
                 & (beyond[:, 0] < width_px - 1 - margin)
                 & (beyond[:, 1] < height_px - 1 - margin)
             )
-            answer[axis, end] = inside.mean() > 0.5
+            answer[axis, end] = inside.mean() > _MOST_OF_BORDER
     return answer
 
 

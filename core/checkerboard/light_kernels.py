@@ -1,8 +1,7 @@
 """Compiled loops: how the light on a board changes about each of its corners.
 
-Light changes smoothly. What the four squares about a corner show of it, off all edges, says much
-better than the pixels along the corner's own edges how steep it is; there a slope looks much
-like a shift of the edge.
+Light changes smoothly. The flat parts of the four squares about a corner say how steep it is much
+better than the pixels along the corner's own edges, where a slope looks like a shift of the edge.
 """
 
 from __future__ import annotations
@@ -20,9 +19,17 @@ BOX = 4
 _PARTS = 8
 """Of the two squares of one colour four quarters each."""
 _FEWEST_PARTS = 5
+"""Of the eight: three determine a plane, and two must be left to contradict it."""
 _MISFIT_SIGMAS = 3.0
+"""Parts may miss the plane by so many standard deviations of a pixel: light that is not linear does
+more."""
 _SLOPE_NOISE = 25.0
-"""How many times the variance of the slopes may be what all quarters would give."""
+"""The variance of the slopes may be so many times what all quarters would give: with parts on one
+side only the slope across is not known."""
+_PLANE_SINGULAR = 1e-6
+"""Determinant over the product of its diagonal, below which the parts lie on one line."""
+_SPARE_PX = 0.01
+"""Half the side of a quarter beyond half a box, at least: so that it holds the middle of one."""
 
 
 @compiled
@@ -88,7 +95,7 @@ def _fit_plane(parts: FloatArray, count: int, plane: FloatArray) -> tuple[float,
         uu, uv, vv = uu + w * u * u, uv + w * u * v, vv + w * v * v
         ug, vg, gg = ug + w * u * g, vg + w * v * g, gg + w * g * g
     det = uu * vv - uv * uv
-    if not det > 1e-6 * uu * vv:
+    if not det > _PLANE_SINGULAR * uu * vv:
         return 0.0, n, math.inf
     by_u, by_v = (vv * ug - uv * vg) / det, (uu * vg - uv * ug) / det
     plane[0], plane[1], plane[2] = g0 - by_u * u0 - by_v * v0, by_u, by_v
@@ -116,7 +123,7 @@ def fit_light_planes(
         1.0 / math.sqrt(m[1, 0] * m[1, 0] + m[1, 1] * m[1, 1]),
     )
     lean = (abs(m[0, 0]) + abs(m[0, 1])) / math.sqrt(m[0, 0] * m[0, 0] + m[0, 1] * m[0, 1])
-    half_px = max(quarter * side / lean - 0.5 * BOX, 0.5 * BOX + 0.01)
+    half_px = max(quarter * side / lean - 0.5 * BOX, 0.5 * BOX + _SPARE_PX)
     for colour in range(2):
         count = 0
         for square in range(2):

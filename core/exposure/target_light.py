@@ -19,12 +19,15 @@ from core.rig.calibrated_site import CalibratedSite
 from core.site import CirclesTarget
 
 _WHITE_PERCENTILE, _BLACK_PERCENTILE = 75.0, 50.0
+"""Of the white and of the black parts: a quarter of the white ones exceed the level, see above."""
 _AREA_WHITE, _AREA_BLACK = 95.0, 5.0
 """Of all pixels of an area; a seventh of the main target's is white."""
 _INSIDE, _OUTSIDE = (0.0, 0.3, 0.6), (1.35,)
 """Radii at which a disc and the plate about it are looked at, in its own."""
 _TURNS = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+"""Directions about a disc's centre in which it is looked at, rad."""
 _LEAST_PARTS = 2
+"""Of either colour: one alone may be covered."""
 
 Box = tuple[int, int, int, int]
 """Part of an image, px: u0, v0, u1, v1; the last column and row are not in it."""
@@ -70,7 +73,12 @@ def board_light(
 
 
 def area_light(image: GreyImage, box: Box) -> TargetLight:
-    """Light of a part of an image in which the target should be."""
+    """Light of a part of an image in which the target should be.
+
+    >>> pixels = np.where(np.arange(100) < 20, 204, 51).astype(np.uint8).reshape(10, 10)
+    >>> area_light(GreyImage(pixels), (0, 0, 10, 10))
+    TargetLight(white=0.8, black=0.2, saturated=0.0)
+    """
     u0, v0, u1, v1 = box
     pixels = image.pixels[v0:v1, u0:u1]
     black, white = np.percentile(pixels, [_AREA_BLACK, _AREA_WHITE]) / image.saturation_dn

@@ -1,4 +1,4 @@
-"""Compiled loops over points: what the lens models make of a ray, with derivatives."""
+"""Compiled loops over points: where a lens model images them, with derivatives."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from core.arrays import FloatArray
 from core.compiled import compiled
 
 MOST_DISTORTION = 8
-"""The longest model's coefficients; shorter ones are filled up with zeros."""
+"""Coefficients of the longest model (rational); shorter ones are filled up with zeros."""
+_ON_AXIS = 1e-7
+"""Tangent of the angle from the axis below which theta / r is 1 / z, exact to its square."""
 
 
 @compiled
@@ -89,7 +91,7 @@ def fisheye(
         theta = math.atan2(r, z)
         t2 = theta * theta
         bent = theta * (1.0 + t2 * (p[5] + t2 * (p[6] + t2 * (p[7] + t2 * p[8]))))
-        if r > 1e-7 * abs(z):
+        if r > _ON_AXIS * abs(z):
             per_r = 1.0 / r
             scale = bent * per_r
         else:  # on the axis

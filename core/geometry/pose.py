@@ -12,7 +12,14 @@ from core.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """`T_a_b`: X_a = R X_b + t."""
+    """`T_a_b`: X_a = R X_b + t.
+
+    >>> T_a_b = Pose.from_vectors(np.array([0.0, 0.0, np.pi / 2]), np.array([10.0, 0.0, 0.0]))
+    >>> T_a_b.apply(np.array([[1.0, 0.0, 0.0]])).round(9).tolist()
+    [[10.0, 1.0, 0.0]]
+    >>> T_a_b.inverse().compose(T_a_b).vector.round(9).tolist()
+    [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    """
 
     R: FloatArray
     """(3, 3) rotation matrix."""
@@ -62,7 +69,11 @@ class Pose:
 
 
 def skew_matrix(v: FloatArray) -> FloatArray:
-    """`[v]_x` of vectors (..., 3), so that [v]_x w = v x w; shape (..., 3, 3)."""
+    """`[v]_x` of vectors (..., 3), so that [v]_x w = v x w; shape (..., 3, 3).
+
+    >>> (skew_matrix(np.array([0.0, 0.0, 2.0])) @ np.array([1.0, 0.0, 0.0])).tolist()
+    [0.0, 2.0, 0.0]
+    """
     zero = np.zeros(v.shape[:-1])
     return np.stack(
         [

@@ -21,7 +21,20 @@ from core.lens.lens_start import ImageSize, start_lens
 from core.lens_model import LensModel
 from core.site import CameraGeometry
 
-_ALL_BUT_FEW, _STRAY_PX = 0.9, 0.5
+_LEAST_LOCATED, _MOST_OFF_PX = 0.9, 0.5
+"""A view that did not fit by its first corners is let in where this share of its corners is located
+with the lens known, and they are off by no more. Chosen: a board that is not this one misses
+both."""
+_FOCAL_SIGMA, _CENTRE_SIGMA = 0.05, 0.05
+"""1-sigma priors about a lens as drawn: focal length, relative (makers: a few per cent), and
+principal point, in image widths."""
+_CORNER_SIGMA_PX = 0.05
+"""1 sigma of corners of another program, unless given: OpenCV's finder on sharp images."""
+_BOW_SHARES = (4e-3, 1.2e-3, 1.2e-3)
+"""1-sigma priors of the bow of paper on a stiff back, by degree (2, 3, 4), of half the board's
+size."""
+_CORNER_SHARE = 5e-3
+"""Where the estimate of the corners' own print errors starts, of a square's side."""
 _SQUARE = 1e-3
 """Sensors' pixels are square to better than this, 1 sigma."""
 
@@ -30,7 +43,7 @@ def lens_prior(
     camera: CameraGeometry, *, skew: bool = False, model: LensModel = LensModel.BROWN
 ) -> FloatArray:
     """(lens parameters,) 1-sigma about their start, wide for all but the skew."""
-    focal, centre = 0.05 * camera.focal_px, 0.05 * camera.width_px
+    focal, centre = _FOCAL_SIGMA * camera.focal_px, _CENTRE_SIGMA * camera.width_px
     sigmas = wide_prior(Lens.ideal(model, camera.focal_px, camera.centre_px), skew=skew)
     sigmas[[0, 1, 3, 4]] = focal, focal, centre, centre
     return sigmas
@@ -68,6 +81,8 @@ def calibrate_lens(
     Nothing need be known of the lens; it may be a fisheye. Without a model the one that predicts
     held-out views best is taken (core.lens.lens_choice). Views without the board, or that do not
     fit the others, are rejected with their reason. Raises CalibrationError.
+    Source: Eq. 10 of Lee et al. (2020), Zhang (2000), with distortion and the board's shape; an
+    example with images is in docs/functions.md.
     """
     found: list[tuple[int, BoardView]] = []
     rejected: list[tuple[int, str]] = []
@@ -105,12 +120,12 @@ def _refined(image: GreyImage, lens: Lens, board: Board, view: BoardView) -> Loc
 
 
 def _require_fit(located: LocatedBoard, lens: Lens, board: Board) -> None:
-    """Let a view in after all if a stray among the corners first found was all that did not fit.
+    """Let a view in after all if only a wrong corner among those first found made it not fit.
 
     Raises TargetNotFoundError.
     """
     off_px = resect(lens, board.corners_mm, located.view).median_rms_px
-    if len(located.view.index) < _ALL_BUT_FEW * located.visible or off_px > _STRAY_PX:
+    if len(located.view.index) < _LEAST_LOCATED * located.visible or off_px > _MOST_OFF_PX:
         msg = f"{len(located.view.index)} of {located.visible} corners, off by {off_px:.2f} px rms"
         raise TargetNotFoundError(msg)
 
@@ -120,7 +135,7 @@ def calibrate_lens_from_corners(
     board: Board,
     size: ImageSize,
     *,
-    sigma_px: float = 0.05,
+    sigma_px: float = _CORNER_SIGMA_PX,
     model: LensModel | None = None,
     skew: bool = False,
 ) -> LensCalibration:
@@ -130,6 +145,17 @@ def calibrate_lens_from_corners(
     as in `Board`; NaN where a corner was not found, None for a view without any. size is the
     image's width and height, px. Views whose corners are not the board's (a row shifted,
     mirrored, on other things) are rejected with their reason. Raises CalibrationError.
+    Source: Zhang (2000), with the board's shape (core.adjustment.bundle_adjustment).
+
+    >>> from core import Pose
+    >>> board = Board.of_squares(10, 7, 30.0)
+    >>> lens = Lens.ideal(LensModel.RADIAL, 600.0, (310.0, 250.0))
+    >>> turns = np.array([[0.4, 0, 0], [-0.4, 0, 0.1], [0, 0.4, 0], [0, -0.4, 0.2], [0.3, 0.3, 0]])
+    >>> poses = [Pose.from_vectors(turn, np.array([-140.0, -90.0, 500.0])) for turn in turns]
+    >>> corners_px = [lens.project(pose.apply(board.corners_mm)) for pose in poses]
+    >>> found = calibrate_lens_from_corners(corners_px, board, (640, 480), model=LensModel.RADIAL)
+    >>> found.lens.parameters[[0, 1, 3, 4]].round(1).tolist(), found.used
+    ([600.0, 600.0, 310.0, 250.0], (0, 1, 2, 3, 4))
     """
     views = [_view_of_corners(corners, k, board, sigma_px) for k, corners in enumerate(corners_px)]
     start = start_lens(views, board, size, model=model)
@@ -183,11 +209,12 @@ def _adjust_jointly(
 ) -> AdjustmentResult:
     """Paper boards are as uneven as they are large; sensors have square pixels."""
     half_mm = 0.5 * float(np.ptp(board.corners_mm, axis=0).max())
+    second, third, fourth = _BOW_SHARES
     priors = AdjustmentPriors(
         lens=wide_prior(lens, skew=skew),
         square=_SQUARE,
-        bow_mm=(4e-3 * half_mm, 1.2e-3 * half_mm, 1.2e-3 * half_mm),
-        corner_mm=5e-3 * board.square_mm,
+        bow_mm=(second * half_mm, third * half_mm, fourth * half_mm),
+        corner_mm=_CORNER_SHARE * board.square_mm,
     )
     poses = [resect(lens, board.corners_mm, view).pose for view in views]
     return adjust(board, views, lens, poses, priors)

@@ -27,9 +27,15 @@ from core.lens_model import LensModel
 MIN_VIEWS = 6
 """With fewer, what is held out says nothing."""
 _FOLDS = 5
+"""Of the cross-validation: each model is fitted to four fifths of the views (five is customary)."""
 _CORNERS_A_VIEW = 120
-_OUTLIER = 6.0
-_NOISE = 2.0
+"""Spread over the view: enough to show distortion, and quick."""
+_OUTLIER_FACTOR = 6.0
+"""Squared errors count at most this factor, squared, times the median's."""
+_STANDARD_ERRORS = 2.0
+"""By which a model must be worse than the best one to be given up for it, see above."""
+_PRIOR_FACTOR = 3.0
+"""The priors of the lens are so many times wider here, so that the views decide."""
 _WIDE_RAD, _WIDEST_TANGENT_RAD = 0.7, 1.3
 """Seen further off the axis a lens may be a fisheye; further than the second it is one."""
 _TANGENT = (LensModel.RADIAL, LensModel.BROWN, LensModel.RATIONAL)
@@ -100,7 +106,7 @@ def _fit(
     start: Lens, corners_mm: FloatArray, views: Sequence[BoardView], poses: Sequence[Pose]
 ) -> FittedLens | None:
     try:
-        return fit_lens(start, corners_mm, views, poses, 3.0 * wide_prior(start))
+        return fit_lens(start, corners_mm, views, poses, _PRIOR_FACTOR * wide_prior(start))
     except np.linalg.LinAlgError:
         return None
 
@@ -136,7 +142,7 @@ def _squared_errors(lens: Lens, corners_mm: FloatArray, view: BoardView, near: P
 
 def _without_outliers(errors: dict[LensModel, FloatArray]) -> dict[LensModel, FloatArray]:
     """(views,) mean square of each view: wrong corners count no more than a few times others."""
-    most = _OUTLIER**2 * min(float(np.nanmedian(squares)) for squares in errors.values())
+    most = _OUTLIER_FACTOR**2 * min(float(np.nanmedian(squares)) for squares in errors.values())
     return {m: np.nanmean(np.minimum(squares, most), axis=1) for m, squares in errors.items()}
 
 
@@ -146,6 +152,6 @@ def _simplest(per_view: dict[LensModel, FloatArray]) -> LensModel:
     for model, squares in per_view.items():
         worse = squares - best
         noise = float(worse.std(ddof=1)) / np.sqrt(len(worse))
-        if float(worse.mean()) <= _NOISE * noise:
+        if float(worse.mean()) <= _STANDARD_ERRORS * noise:
             return model
     raise AssertionError  # the best is one of them

@@ -1,7 +1,7 @@
 """A lens and the poses of the views, fitted to corners of a board that is taken as known.
 
-Much faster than the joint adjustment (core.adjustment.bundle_adjustment), which it starts and
-compares models for.
+Much faster than the joint adjustment (core.adjustment.bundle_adjustment): it finds a start for
+that, and compares lens models.
 Gauss-Newton with robust weights; the poses are eliminated view by view (Schur complement; Triggs
 et al., "Bundle adjustment - a modern synthesis" (2000), section 6).
 """
@@ -20,8 +20,17 @@ from core.geometry.lens import INTRINSICS, Lens
 from core.geometry.pose import Pose, skew_matrix
 from core.lens_model import LensModel
 
-_TOLERANT = 30.0
+_START_SCALE = 30.0
+"""Residuals over their predicted size, at the start: no corner is down-weighted while the fit is
+still that bad."""
 _SETTLED_SIGMAS, _SETTLED_SCALE = 0.05, 0.01
+"""Changes after which the fit stops: of the lens, in its sigmas; of the residuals' scale, relative.
+It only starts and compares."""
+_WIDE_FOCAL, _WIDE_SKEW = 0.1, 0.005
+"""1-sigma priors of focal length and principal point, and of gamma, as shares of the focal length:
+wider than makers are wrong by."""
+_WIDE_RADIAL, _WIDE_FISHEYE, _WIDE_DECENTRING = 0.3, 0.1, 0.02
+"""1-sigma priors of the distortion's coefficients: those of usual lenses lie within."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,16 +49,21 @@ class FittedLens:
 
 def wide_prior(lens: Lens, *, skew: bool = False) -> FloatArray:
     """(size,) 1-sigma of the lens parameters about a start: wide for all but the skew."""
-    focal = 0.1 * lens.parameters[0]
-    gamma = 0.005 * lens.parameters[0] if skew else 0.0
-    radial = 0.1 if lens.model is LensModel.FISHEYE else 0.3
-    sigmas = {"p1": 0.02, "p2": 0.02}
+    focal = _WIDE_FOCAL * lens.parameters[0]
+    gamma = _WIDE_SKEW * lens.parameters[0] if skew else 0.0
+    radial = _WIDE_FISHEYE if lens.model is LensModel.FISHEYE else _WIDE_RADIAL
+    sigmas = {"p1": _WIDE_DECENTRING, "p2": _WIDE_DECENTRING}
     distortion = [sigmas.get(name, radial) for name in lens.model.coefficients]
     return np.array([focal, focal, gamma, focal, focal, *distortion])
 
 
 def as_model(lens: Lens, model: LensModel) -> Lens:
-    """The same lens with coefficients of the same kind added, all zero, or left off."""
+    """The same lens with coefficients of the same kind added, all zero, or left off.
+
+    >>> brown = Lens(np.array([900.0, 900.0, 0.0, 320.0, 240.0, -0.1, 0.01, 0.0, 0.0, 0.0]))
+    >>> as_model(brown, LensModel.RADIAL).parameters.tolist()
+    [900.0, 900.0, 0.0, 320.0, 240.0, -0.1, 0.01]
+    """
     parameters = np.zeros(len(model.parameters))
     both = min(lens.size, len(parameters))
     parameters[:both] = lens.parameters[:both]
@@ -72,7 +86,7 @@ def fit_lens(
     Raises numpy.linalg.LinAlgError if the views determine too little.
     """
     data = _Corners.of(corners_mm, views)
-    fitted, scale = FittedLens(start, tuple(poses)), _TOLERANT
+    fitted, scale = FittedLens(start, tuple(poses)), _START_SCALE
     free = np.nonzero(sigmas > 0.0)[0]
     precision = 1.0 / sigmas[free] ** 2
     for _ in range(iterations):

@@ -22,18 +22,32 @@ from core.lens.lens_fit import as_model, fit_lens, wide_prior
 from core.lens_model import LensModel
 
 MIN_VIEWS = 3
+"""Zhang's method needs three views of a plane for all five intrinsics."""
 _CORNERS_A_VIEW, _CORNERS_A_TRIAL = 100, 40
+"""Corners of a view that are fitted, and that each of some twenty lenses is tried on."""
 _SIGMA_PX = 0.05
+"""1 sigma of every corner: a corner before its fit, or of another program."""
 _AGREE = 0.6
 """Share of the views that the lens is first fitted to; so many must be right."""
 _WORSE = 5.0
+"""A view fits that is off by no more than so many times what most are."""
 _FLOOR_PX = 0.5
+"""And any view that is off by no more than this."""
 _ROUNDS = 6
+"""Of choosing views and fitting to them; two or three settle."""
 _NO_FIT_PX = 1e6
-_CLEARLY = 0.9
+"""For a view that no pose fits: larger than any image."""
+_TANGENT_HANDICAP = 0.9
+"""A fisheye must be better by this factor to be preferred: it also fits a lens without
+distortion."""
+_PRIOR_FACTOR = 3.0
+"""The priors of the lens are so many times wider here, so that the views decide."""
+_MOST_WRONG = 0.5
+"""Share of the corners that must miss for a view to be called another thing than the board."""
 _TANGENT_FOCAL = np.geomspace(0.3, 8.0, 12)
+"""Focal lengths tried, in image widths: fields of view of 118 to 7 degrees, a third apart."""
 _FISHEYE_FOCAL = np.geomspace(0.15, 1.2, 8)
-"""Focal lengths tried, in image widths."""
+"""Likewise of a fisheye: 380 to 48 degrees."""
 
 ImageSize = tuple[int, int]
 """Width and height, px."""
@@ -182,7 +196,7 @@ class _Consensus:
 
     def cost(self, limit_px: float) -> tuple[int, float]:
         """The kind that more views fit is the right one; of equals the tangent, if as good."""
-        handicap = 1.0 if self.lens.model is LensModel.FISHEYE else _CLEARLY
+        handicap = 1.0 if self.lens.model is LensModel.FISHEYE else _TANGENT_HANDICAP
         return -int((self.seen.off_px <= limit_px).sum()), handicap * self.typical_px
 
 
@@ -190,7 +204,7 @@ def _fit_consensus(seen: _LensTrial, board: Board, views: Sequence[BoardView]) -
     """Fit to the views that fit best, again and again, then let in all that fit as well.
 
     Views near the image's edge fit a lens badly that others were fitted to: they are let in when
-    most of their corners fit, and judged by all corners only when they have had their say.
+    most of their corners fit, and judged by all their corners only after that.
     """
     enough = max(MIN_VIEWS, int(np.ceil(_AGREE * len(views))))
     kept: tuple[int, ...] = ()
@@ -228,7 +242,11 @@ def _fitted(
         start = as_model(lens, model)
         try:
             fitted = fit_lens(
-                start, board.corners_mm, [v for v, _ in good], poses, 3.0 * wide_prior(start)
+                start,
+                board.corners_mm,
+                [v for v, _ in good],
+                poses,
+                _PRIOR_FACTOR * wide_prior(start),
             )
         except np.linalg.LinAlgError:
             break
@@ -250,7 +268,7 @@ def _reasons(
         if v not in agreed.kept
     }
     front = {v: _from_the_front(p) for v in agreed.kept if (p := found[v][0]) is not None}
-    usual = sum(front.values()) >= 0.5 * len(front)
+    usual = 2 * sum(front.values()) >= len(front)
     for v, is_front in front.items():
         if is_front != usual:
             rejected[v] = (
@@ -272,7 +290,7 @@ def _misfit_text(view: BoardView, off: FloatArray, pose: Pose | None, typical_px
     wrong = int((off > max(1.0, _WORSE * typical_px)).sum())
     rms = float(np.sqrt((off**2).mean()))
     amount = f"corners off by {rms:.2f} px rms, those of the other views by {typical_px:.2f} px"
-    if wrong < 0.5 * len(off):
+    if wrong < _MOST_WRONG * len(off):
         return (
             f"does not fit the other views: {wrong} of its {len(off)} corners are not where the "
             f"board has them, up to {off.max():.1f} px away"

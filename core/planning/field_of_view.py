@@ -11,7 +11,7 @@ from scipy.optimize import bisect
 from core.arrays import BoolArray, FloatArray
 from core.geometry.pose import Pose
 from core.planning.planned_site import OUTLINE, CalibrationPlan, PlannedSite
-from core.rig.compensation import affine_error_px
+from core.rig.compensation import AFFINE_LIMIT_PX, affine_error_px
 
 FEW_PX_SQUARE = 12.0
 """Smaller squares have edges that overlap in a blurred image."""
@@ -119,7 +119,7 @@ def planning_warnings(
             "discs or a longer main lens"
         )
     yield from _border_warnings(planned)
-    if view.affine_error_px >= 1.0:
+    if view.affine_error_px >= AFFINE_LIMIT_PX:
         yield (
             f"Eq. 5 fails ({view.affine_error_px:.1f} px for {limits.expected_drift_mm:g} mm along "
             "the view): calibrate with --method rigid, not paper"

@@ -24,12 +24,22 @@ from core.site import Site
 PIVOT_BELOW_MM = 100.0
 """Where the head's axes are taken to meet: so far below the middle between the cameras."""
 HELD_TILT_DEG = 25.0
+"""Largest tilt of a board in the hand: what docs/pier.md asks for."""
 HELD_NEAR, HELD_FAR = 1.05, 1.4
 """A board in the hand is held at these multiples of the distance at which it fills the image."""
 OUTLINE = 1.2
 """Of a disc's radius: its edge must be in the image with what is around it."""
 _GOLDEN_RAD = math.pi * (3.0 - math.sqrt(5.0))
+"""Golden angle: directions so far apart spread evenly, however many there are."""
+_EDGE_SHARE = 0.92
+"""Of a square's side: the length of edge that locates a corner each way; chosen a little less
+than the square, as the blurred crossing says less."""
+_LEAST_TILT_SHARE = 0.1
+"""Of the tilt, squared, of the first view in the hand: none is quite square on."""
+_SPARE_SHARE, _OVER_SHARE = 0.8, 0.05
+"""How far a board in the hand is moved aside: of the space beside it, and of the image."""
 _NO_IMAGE = GreyImage(np.zeros((1, 1), np.uint8))
+"""Stands where a view has an image: nothing is read from it."""
 
 Position = tuple[float, float]
 """Pan and tilt, degrees."""
@@ -63,7 +73,7 @@ class ImageQuality:
 
     def corner_sigma_px(self, square_px: FloatArray) -> FloatArray:
         """1 sigma of each coordinate of a corner: an edge of nearly a square either way."""
-        return self.edge_sigma_px(0.92 * square_px)
+        return self.edge_sigma_px(_EDGE_SHARE * square_px)
 
     def disc_sigma_px(self, radius_px: FloatArray) -> FloatArray:
         """1 sigma of each coordinate of a disc: half its outline lies across either."""
@@ -134,7 +144,9 @@ class PlannedSite:
         size_mm = np.array([target.squares_x, target.squares_y]) * target.square_mm
         view_px = np.array([camera.width_px, camera.height_px])
         around, share = number * _GOLDEN_RAD, (number + 0.5) / count
-        tilt_rad = math.radians(HELD_TILT_DEG) * math.sqrt(0.1 + 0.9 * share)
+        tilt_rad = math.radians(HELD_TILT_DEG) * math.sqrt(
+            _LEAST_TILT_SHARE + (1.0 - _LEAST_TILT_SHARE) * share
+        )
         axis = np.array([math.cos(around), math.sin(around), 0.0])
         R = Pose.from_vectors(tilt_rad * axis, np.zeros(3)).R
         between = (number * (math.sqrt(5.0) - 1.0) / 2.0) % 1.0
@@ -142,7 +154,7 @@ class PlannedSite:
         depth_mm = near * (HELD_NEAR + (HELD_FAR - HELD_NEAR) * between)
         spare_px = np.maximum(view_px - size_mm * camera.focal_px / depth_mm, 0.0)
         where = 0.5 * np.array([math.cos(2.0 * around), math.sin(3.0 * around)])
-        shift_px = where * (0.8 * spare_px + 0.05 * view_px)
+        shift_px = where * (_SPARE_SHARE * spare_px + _OVER_SHARE * view_px)
         middle = np.append(shift_px / camera.focal_px, 1.0) * depth_mm
         return Pose(R, middle - R @ np.append(size_mm / 2.0, 0.0))
 

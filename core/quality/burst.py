@@ -1,7 +1,7 @@
-"""Several frame pairs of one slot to one measurement: robust, and honest about their scatter.
+"""Several frame pairs of one slot to one measurement: robust, with their scatter in its sigma.
 
 Heat haze and vibration move the images by more than their own noise, and differently from pair to
-pair. How far the pairs of a burst lie apart tells that; their mean suffers from it less.
+pair. Their scatter shows it; their mean suffers from it less.
 """
 
 from __future__ import annotations
@@ -18,8 +18,11 @@ from core.quality.verdicts import flag_of
 from core.results import Diagnostics, Displacement, Flag, Measurement, Reason, RigMotion
 
 _HUBER = 2.0
-"""In standard deviations of a two-dimensional normal distribution: one pair in seven is beyond."""
+"""Standard deviations of a two-dimensional normal distribution: one pair in seven is beyond."""
 _ROUNDS = 20
+"""Of Huber's weights (1964). Chosen: more than they need; with a few pairs it costs nothing."""
+_MAD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
 _ONE_SIGMA = 0.841345
 """Normal probability below +1 sigma."""
 
@@ -29,6 +32,13 @@ def combine(pairs: Sequence[Measurement]) -> Measurement:
 
     At least half of the pairs good: their robust mean, good. Else, at least half with a value: the
     robust mean of all values, with the reasons of most. Else no value.
+
+    >>> def pair(x_mm: float) -> Measurement:
+    ...     value = Displacement(np.array([x_mm, 0.0]), 1e-4 * np.eye(2))
+    ...     return Measurement(Flag.GOOD, (), value, value, None)
+    >>> slot = combine([pair(1.00), pair(1.02), pair(0.98), pair(1.01), pair(3.00)])  # one shaken
+    >>> slot.corrected.mm.round(2).tolist(), slot.frames_used
+    ([1.01, 0.0], 5)
     """
     if len(pairs) == 1:
         return pairs[0]
@@ -77,7 +87,7 @@ def _weights(values: Sequence[Displacement]) -> FloatArray:
     mm = np.array([value.mm for value in values])
     noise_mm2 = np.mean([np.diag(_own(value)) for value in values], axis=0)
     middle = np.median(mm, axis=0)
-    scale = np.maximum(1.4826 * np.median(np.abs(mm - middle), axis=0), np.sqrt(noise_mm2))
+    scale = np.maximum(_MAD * np.median(np.abs(mm - middle), axis=0), np.sqrt(noise_mm2))
     weights: FloatArray = np.ones(len(mm))
     for _ in range(_ROUNDS):
         away = np.hypot(*((mm - middle) / scale).T)

@@ -1,4 +1,4 @@
-"""What one row alone cannot tell: whether the board has slipped, the main camera was knocked.
+"""What one row alone cannot show: whether the board has slipped or the main camera was knocked.
 
 Main and sub-camera are one rigid body. When the rig moves, both see it. A board that slips on the
 pier looks to the sub-camera like a motion of the rig, but the main image does not move with it, so
@@ -6,7 +6,7 @@ that the corrected displacement jumps by just what the rig is said to have moved
 
     step of the false displacement + step of the displacement = step of the raw one, about 0.
 
-How large a step is unusual, the rows before it say.
+The rows before it say how large a step is unusual.
 """
 
 from __future__ import annotations
@@ -25,30 +25,35 @@ from core.rig.calibrated_site import CalibratedSite
 from core.rig.propagation import predict_shift
 from core.site import QualityLimits
 
-_MIN_NOISE = 6.0
-"""Steps below so many standard deviations are noise."""
+_LEAST_SIGMAS = 4.5
+"""Of the sum of two rows' sigmas: smaller steps between them are noise. Of two equal rows it is 6.4
+standard deviations of their difference, by chance one row in a billion."""
 _CANCELS = 0.6
 """Share of the step of the displacement that the step of the rig must leave unexplained."""
-_UNUSUAL, _FEW = 1.2, 1.5
+_UNUSUAL, _FEW_STEPS = 1.2, 1.5
 """A step is unusual beyond this times the largest of n steps before, and 1 + few / n times that."""
 _ALONE = 1.6
 """And as often as this again if the displacement's own step is not unusual."""
-_GAP = 3.0
+_GAP_INTERVALS = 3.0
 """Rows further apart than so many usual intervals have a gap between them."""
 _DRIFT_FACTOR = 2.0
+"""Residuals so many times what they were at calibration, for so long, say that lens, board or focus
+have changed. Chosen between noise of a few per cent and values that are visibly wrong."""
+_LEAST_USUAL_MM = 1e-3
+"""Of the steps that rows are compared by: below it is noise."""
 _ACROSS_ROWS = frozenset({Reason.BOARD_SLIPPED, Reason.CAMERA_BUMPED, Reason.CALIBRATION_DRIFTING})
 
 Channel = Literal["false_mm", "slide_mm"]
 _CHANNELS: tuple[Channel, ...] = ("false_mm", "slide_mm")
 _DIRECTIONS = (slice(0, 2), slice(0, 1), slice(1, 2))
 """In the plane of the target, and x and y alone: a bridge moves far less to the side than up."""
-_ENOUGH = 6
+_ENOUGH_ROWS = 6
 """Rows from which on x and y alone are looked at: of fewer, one is soon unusual by chance."""
 
 
 @dataclass(frozen=True, slots=True)
 class RowSummary:
-    """What the rows after need of a row."""
+    """What later rows need of a row."""
 
     time_s: float
     mm: FloatArray
@@ -79,7 +84,7 @@ class BoardSlip:
 def summarise_row(
     calibrated: CalibratedSite, measurement: Measurement, time_s: float
 ) -> RowSummary | None:
-    """Give what later rows need of a row, None of one without a value."""
+    """Give what later rows need of a row, or None if it has no value."""
     corrected, raw, motion = measurement.corrected, measurement.raw, measurement.motion
     if corrected is None or raw is None or motion is None:
         return None
@@ -109,7 +114,7 @@ def summarise_row(
 
 @dataclass(frozen=True, slots=True)
 class StepDetector:
-    """The rows so far, of one calibration."""
+    """The rows of one calibration so far, and what they say of the next (immutable)."""
 
     history: tuple[RowSummary, ...] = ()
     """The last rows that are believed, in order."""
@@ -119,7 +124,7 @@ class StepDetector:
     def resumed(
         cls, history: tuple[RowSummary, ...], first: RowSummary | None, last: RowSummary | None
     ) -> StepDetector:
-        """Go on from stored rows: those believed, and the first and last of a slip since."""
+        """Continue from stored rows: those believed, and the first and last of a slip since."""
         state = cls(history[-WINDOW_ROWS:])
         if first is None or last is None or not state.history:
             return state
@@ -149,7 +154,7 @@ class StepDetector:
 
     @property
     def residual_ratio(self) -> float | None:
-        """The median residual of the last rows; None of too few rows to tell."""
+        """The median residual of the last rows; None if they are too few."""
         return median_residual_ratio([row.residual_ratio for row in self.history])
 
     @property
@@ -162,7 +167,7 @@ class StepDetector:
         if rows < 2:
             return None
         said = {name: getattr(now, name) - getattr(self.history[-1], name) for name in _CHANNELS}
-        for axes in _DIRECTIONS if rows >= _ENOUGH else _DIRECTIONS[:1]:
+        for axes in _DIRECTIONS if rows >= _ENOUGH_ROWS else _DIRECTIONS[:1]:
             for sigma_index, channel in enumerate(_CHANNELS, start=1):
                 if self._is_slip(now, channel, sigma_index, axes):
                     return BoardSlip(channel, said[channel], now)
@@ -176,17 +181,19 @@ class StepDetector:
         size, said = float(np.linalg.norm(moved_mm)), float(np.linalg.norm(said_mm))
         if float(np.linalg.norm(said_mm + moved_mm)) > _CANCELS * size:
             return False
-        noise = _MIN_NOISE / 2 * 1.5 * (now.sigma_mm + before.sigma_mm)
+        noise = _LEAST_SIGMAS * (now.sigma_mm + before.sigma_mm)
         if size < noise[0] or said < noise[sigma_index]:
             return False
-        factor = _UNUSUAL * (1.0 + _FEW / steps)
+        factor = _UNUSUAL * (1.0 + _FEW_STEPS / steps)
         strange = said / (factor * self._usual(channel, now, axes))
         return strange > _ALONE or (strange > 1.0 and size > factor * self._usual("mm", now, axes))
 
     def _undone(self, slip: BoardSlip, now: RowSummary) -> bool:
         """Whether a row is nearer to where the last one would be without the slip."""
         plane = _DIRECTIONS[0]
-        scales = [max(self._usual(name, now, plane), 1e-3) for name in (slip.channel, "mm")]
+        scales = [
+            max(self._usual(name, now, plane), _LEAST_USUAL_MM) for name in (slip.channel, "mm")
+        ]
 
         def away(undone_mm: FloatArray) -> float:
             said = getattr(now, slip.channel) - getattr(slip.last, slip.channel) + undone_mm
@@ -217,14 +224,14 @@ class StepDetector:
         baseline = np.array([getattr(row, name)[axes] for row in self.history])
         usual = float(np.linalg.norm(np.diff(baseline, axis=0), axis=1).max())
         gap_s = now.time_s - self.history[-1].time_s
-        if gap_s > _GAP * self._interval_s:
+        if gap_s > _GAP_INTERVALS * self._interval_s:
             spans = gap_s / max(self.history[-1].time_s - self.history[0].time_s, 1e-9)
             usual = max(usual, max(spans, 1.0) * float(np.linalg.norm(np.ptp(baseline, axis=0))))
         return max(usual, float(self.history[-1].sigma_mm.max()))
 
 
 def add_reasons(measurement: Measurement, reasons: tuple[Reason, ...]) -> Measurement:
-    """Give a measurement with what other rows make of it."""
+    """Add the reasons that other rows give; the flag follows."""
     if not reasons:
         return measurement
     together = (*measurement.reasons, *reasons)

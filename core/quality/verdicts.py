@@ -11,38 +11,61 @@ from core.checkerboard.shadow import crossed_by_shadow
 from core.discs.disc_finder import Discs
 from core.images import GreyImage
 from core.quality.print_fingerprint import print_mismatch
-from core.quality.residual_ratio import contrast_noise_factor
+from core.quality.residual_ratio import LEAST_RMS_PX, contrast_noise_factor
 from core.results import Displacement, Flag, Reason, RigMotion
 from core.rig.calibrated_site import CalibratedSite
-from core.rig.compensation import CommonShift, affine_error_px
+from core.rig.compensation import AFFINE_LIMIT_PX, CommonShift, affine_error_px
 from core.rig.paper import PaperModel
 from core.site import Site
 
+_PIXEL_STEP = 4
+"""Every fourth row and column does for the light of a whole image."""
+_BRIGHT_PERCENTILE = 99.0
+"""What counts as the bright parts of an image: the discs are some per cent of the main one."""
 _DARK_SHARE = 0.08
+"""Of full scale: bright parts below it are too dark (20 DN of 8 bits, a few DN of contrast on top
+of the noise). Only says why a target was not found."""
 _SATURATED_SHARE = 0.3
+"""Of all pixels: so many are saturated only when the white of the target is too."""
 _HIDDEN_SHARE = 0.005
-_MISFIT_WEIGHT = 0.1  # five standard deviations off
-_MISFIT_PX = 0.05  # and more than a board's print errors leave
-_FOREIGN_SHARE = 0.25
-"""Of the print errors: two squares off, even the lines of one direction alone leave 0.4."""
+"""Of the board's corners: five of 930. Chosen: less does not move a value; insensitive."""
+_MISFIT_WEIGHT = 0.1
+"""Weight of a corner that does not fit: it is 5.3 standard deviations off."""
+_MISFIT_PX = 0.05
+"""And so far at least: more than a board's print errors leave."""
+_MISMATCH_SHARE = 0.25
+"""Of the print errors that may be missing: two squares off, even the lines of one direction alone
+leave 0.4. Insensitive from 0.12 to 0.5."""
 _CLEAN = 0.95
+"""Share of a disc's pixels that its model explains, below which something covers a part of it. On
+the rendered sets every clear disc has more (measured)."""
 _BLUR_FACTOR = 2.0
+"""Times the blur at calibration. Chosen: at 1 most rows of the rendered sets are flagged, at 2 none
+(measured)."""
+_LEAST_MAIN_BLUR_PX, _LEAST_SUB_BLUR_PX = 1.0, 0.8
+"""Blur that is never unusual: a sharp lens, its pixels' own squares counted in."""
 _RESIDUAL_FACTOR = 3.0
+"""Times the residuals at calibration, contrast allowed for. Insensitive from 1.5 to 6."""
 _MAIN_RESIDUAL_PX = 0.05
+"""rms of the discs about their common shift, the rig's motion taken off: 0.004 mm at 12 px/mm.
+Clear discs of the rendered sets leave less than half of it (measured)."""
 _NO_VALUE_PX = 1.0
+"""Discs or corners that miss by a whole pixel are not the target's."""
 _RANGE_FACTOR = 4.0
+"""Times the largest motion of calibration or expected drift: beyond it corrections are
+extrapolated. Insensitive from 2 to 8."""
 _MISSING = {Reason.MAIN_IMAGE_MISSING, Reason.SUB_IMAGE_MISSING}
 
 
 def too_dark(image: GreyImage) -> bool:
     """Whether even the bright parts of an image are near black."""
-    bright = float(np.percentile(image.pixels[::4, ::4], 99.0))
+    bright = float(np.percentile(image.pixels[::_PIXEL_STEP, ::_PIXEL_STEP], _BRIGHT_PERCENTILE))
     return bright < _DARK_SHARE * image.saturation_dn
 
 
 def overexposed(image: GreyImage) -> bool:
     """Whether a large part of an image is saturated."""
-    share = float((image.pixels[::4, ::4] >= image.saturation_dn).mean())
+    share = float((image.pixels[::_PIXEL_STEP, ::_PIXEL_STEP] >= image.saturation_dn).mean())
     return share > _SATURATED_SHARE
 
 
@@ -57,7 +80,7 @@ def judge_main(calibrated: CalibratedSite, discs: Discs, shift: CommonShift | No
         reasons.append(Reason.MAIN_TARGET_PARTLY_HIDDEN)
     if shift is not None and shift.residual_px > _MAIN_RESIDUAL_PX:
         reasons.append(Reason.MAIN_TARGET_DISTURBED)
-    if discs.blur_px > _BLUR_FACTOR * max(calibrated.baseline.main_blur_px, 1.0):
+    if discs.blur_px > _BLUR_FACTOR * max(calibrated.baseline.main_blur_px, _LEAST_MAIN_BLUR_PX):
         reasons.append(Reason.BLURRED)
     return reasons
 
@@ -69,13 +92,14 @@ def judge_sub(calibrated: CalibratedSite, located: LocatedBoard, board: BoardPos
         reasons.append(Reason.SUB_TARGET_UNCERTAIN)
     if _hidden(located, board) > _HIDDEN_SHARE * located.visible:
         reasons.append(Reason.SUB_TARGET_PARTLY_HIDDEN)
-    if board.rms_px > _RESIDUAL_FACTOR * max(
-        calibrated.baseline.sub_rms_px, 0.002
-    ) * contrast_noise_factor(calibrated.baseline.sub_contrast_dn, located.contrast_dn):
+    baseline = calibrated.baseline
+    usual_px = max(baseline.sub_rms_px, LEAST_RMS_PX)
+    usual_px *= contrast_noise_factor(baseline.sub_contrast_dn, located.contrast_dn)
+    if board.rms_px > _RESIDUAL_FACTOR * usual_px:
         reasons.append(Reason.SUB_TARGET_DISTURBED)
-    if _is_foreign(calibrated, located, board):
+    if _is_another_board(calibrated, located, board):
         reasons.append(Reason.SUB_TARGET_CHANGED)
-    if located.blur_px > _BLUR_FACTOR * max(calibrated.baseline.sub_blur_px, 0.8):
+    if located.blur_px > _BLUR_FACTOR * max(calibrated.baseline.sub_blur_px, _LEAST_SUB_BLUR_PX):
         reasons.append(Reason.BLURRED)
     return reasons
 
@@ -83,22 +107,22 @@ def judge_sub(calibrated: CalibratedSite, located: LocatedBoard, board: BoardPos
 def _hidden(located: LocatedBoard, board: BoardPose) -> int:
     """How many corners something lies on: those lost to a shadow's edge are not among them."""
     off = np.hypot(board.residuals_px[:, 0], board.residuals_px[:, 1])
-    residual_ratio = (board.weights < _MISFIT_WEIGHT) & (off > _MISFIT_PX)
+    misfit = (board.weights < _MISFIT_WEIGHT) & (off > _MISFIT_PX)
     points = located.view.points_px
-    lost = np.concatenate([located.missing_px, points[residual_ratio]])
-    white, black = located.white_dn[~residual_ratio], located.black_dn[~residual_ratio]
-    crossed = crossed_by_shadow(lost, points[~residual_ratio], white, black)
+    lost = np.concatenate([located.missing_px, points[misfit]])
+    white, black = located.white_dn[~misfit], located.black_dn[~misfit]
+    crossed = crossed_by_shadow(lost, points[~misfit], white, black)
     return int((~crossed).sum())
 
 
-def _is_foreign(calibrated: CalibratedSite, located: LocatedBoard, board: BoardPose) -> bool:
+def _is_another_board(calibrated: CalibratedSite, located: LocatedBoard, board: BoardPose) -> bool:
     """Whether the print errors of the calibrated board are missing.
 
     Print errors smaller than the noise of a corner are known too poorly to be missed, and too
     small to spoil a value.
     """
     share, size_px = print_mismatch(calibrated, located.view, board)
-    return share > _FOREIGN_SHARE and size_px > calibrated.baseline.sub_rms_px
+    return share > _MISMATCH_SHARE and size_px > calibrated.baseline.sub_rms_px
 
 
 def is_inconsistent(shift: CommonShift, board: BoardPose | None) -> bool:
@@ -118,7 +142,7 @@ def judge_motion(calibrated: CalibratedSite, motion: RigMotion, site: Site) -> l
     if isinstance(calibrated.model, PaperModel):
         off_axis = float(np.nanmax(np.abs(calibrated.reference_discs_px - site.main.centre_px)))
         distance, axial = site.main_target.distance_mm, float(motion.translation_mm[2])
-        if affine_error_px(distance, axial, off_axis) > 1.0:
+        if affine_error_px(distance, axial, off_axis) > AFFINE_LIMIT_PX:
             reasons.append(Reason.AFFINE_INVALID)
     return reasons
 
@@ -130,7 +154,11 @@ def judge_value(corrected: Displacement, site: Site) -> list[Reason]:
 
 
 def flag_of(reasons: tuple[Reason, ...], *, has_value: bool) -> Flag:
-    """Good without a reason, suspect with a value, missing or bad without one."""
+    """Good without a reason, suspect with a value, missing or bad without one.
+
+    >>> flag_of((Reason.BLURRED,), has_value=True)
+    <Flag.SUSPECT: 3>
+    """
     if has_value:
         return Flag.SUSPECT if reasons else Flag.GOOD
     return Flag.MISSING if _MISSING.intersection(reasons) else Flag.BAD

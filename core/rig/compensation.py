@@ -15,18 +15,33 @@ from core.rig.calibrated_site import CalibratedSite
 from core.rig.propagation import DISC_FLOOR_PX, predict_shift, shift_sensitivities
 from core.rig.rigid import motion_by_pose
 
+AFFINE_LIMIT_PX = 1.0
+"""Of Eq. 5: the paper's own limit."""
 _CLEAN_MARGIN = 0.04
+"""A disc is clean whose explained share is so near to the best one's. Insensitive."""
+_LEAST_SCATTER_PX = 0.01
+"""Of the discs about their median, for robust weights: a few discs may lie together by chance."""
 
 
 def affine(centres_mm: FloatArray, points_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Affine camera [B~, b] of Eq. 7-8 by least squares: (2, 2) px/mm and (2,) px."""
+    """Affine camera [B~, b] of Eq. 7-8 by least squares: (2, 2) px/mm and (2,) px.
+
+    >>> centres_mm = np.array([[-15.0, 11.0], [15.0, 11.0], [0.0, 0.0]])
+    >>> B, b = affine(centres_mm, centres_mm * [12.5, -12.5] + [960.0, 600.0])
+    >>> B.diagonal().round(6).tolist(), b.round(6).tolist()
+    ([12.5, -12.5], [960.0, 600.0])
+    """
     design = np.concatenate([centres_mm, np.ones((len(centres_mm), 1))], axis=1)
     solution = np.linalg.lstsq(design, points_px, rcond=None)[0]
     return solution[:2].T, solution[2]
 
 
 def affine_error_px(distance_mm: float, axial_motion_mm: float, off_axis_px: float) -> float:
-    """Eq. 5: |dz / d0 (x - x0)|, the error of the affine camera; it should stay below 1 px."""
+    """Eq. 5: |dz / d0 (x - x0)|, the error of the affine camera; it should stay below 1 px.
+
+    >>> round(affine_error_px(distance_mm=11000.0, axial_motion_mm=10.0, off_axis_px=900.0), 3)
+    0.818
+    """
     return abs(axial_motion_mm / distance_mm) * off_axis_px
 
 
@@ -67,7 +82,7 @@ def _common_shift(miss_px: FloatArray, which: IntArray) -> tuple[FloatArray, Com
     """Robust mean (2,) of the discs' shifts (k, 2)."""
     middle = np.median(miss_px, axis=0)
     away = np.hypot(*(miss_px - middle).T)
-    scale = max(float(np.median(away)), 0.01)
+    scale = max(float(np.median(away)), _LEAST_SCATTER_PX)
     weights = robust_weights(away / scale)
     weights = weights / weights.sum()
     mean = weights @ miss_px

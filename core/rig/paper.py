@@ -17,13 +17,21 @@ from core.arrays import FloatArray
 from core.geometry.pose import Pose, skew_matrix
 
 _NULL_RATIO = 2e-4
+"""Singular value over the largest, below which a direction is open. Pan and tilt leave one that is
+zero but for noise, and four more 100 to 10,000 times below the largest (measured)."""
 _DOUBTFUL_RATIO = 5e-3
 """Below this the noise of the motions themselves may be all that a direction rests on."""
 
 
 @dataclass(frozen=True, slots=True)
 class PaperModel:
-    """`du_j = B [R_j - I, T_j] [p; 1]`, Eq. 17."""
+    """`du_j = B [R_j - I, T_j] [p; 1]`, Eq. 17.
+
+    >>> B = 12.5 * np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    >>> model = PaperModel(B, np.array([0.0, 0.0, -11080.0]), np.eye(9), np.ones(9))
+    >>> model.shift(Pose.from_vectors(np.array([0.0, 1e-3, 0.0]), np.zeros(3))).round(1).tolist()
+    [138.5, 0.0]
+    """
 
     B: FloatArray
     """(2, 3), px per mm."""

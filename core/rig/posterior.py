@@ -1,10 +1,9 @@
-"""What a calibration knows, jointly: the covariance of all that a measurement rests on.
+"""The joint covariance of all calibrated quantities that a measurement rests on.
 
 The unknowns are the lens, the model (rig or the paper's nine parameters), the reference (its pose
-and its discs) and every corner of the board, some thousand. All are correlated: what lens and
-board share has the same effect on the reference and on a row and cancels there. So their covariance
-is kept whole, as a factor F with covariance F F^T, and what is left of each corner's own error
-beside it.
+and its discs) and every corner of the board, some thousand. All are correlated: an error of the
+lens or the board acts alike on the reference and on a row, and cancels. So their covariance is kept
+whole, as a factor F with covariance F F^T, beside what is left of each corner's own error.
 """
 
 from __future__ import annotations
@@ -19,7 +18,12 @@ from core.arrays import FloatArray, IntArray
 _NEGLIGIBLE_PX = 2e-4
 """Effects on a row's false shift below this are dropped."""
 _MOST_COLUMNS = 96
+"""Of a compressed factor: three times what rows were seen to feel (10 to 30 directions)."""
+_RANK_TOLERANCE = 1e-9
+"""Singular value over the largest: rows of the factor that depend on one another are found by
+it."""
 _KNOWN_MM = 1e-6
+"""1 sigma of a corner taken as known: small beside any print error, and still invertible."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +68,7 @@ class Posterior:
             self.own_mm2,
         )
 
-    def times(self, matrix: FloatArray) -> Posterior:
+    def transformed(self, matrix: FloatArray) -> Posterior:
         """Each row of F by a matrix (r, s)."""
         return Posterior(
             self.lens @ matrix,
@@ -76,13 +80,13 @@ class Posterior:
         )
 
     def conditioned_on(self, rows: FloatArray) -> Posterior:
-        """What would be left to doubt if these rows (k, r) of F were known to be without error.
+        """The conditional covariance, were the quantities of these rows (k, r) of F known exactly.
 
-        Only of use on a posterior that was not compressed.
+        For a posterior that was not compressed.
         """
         scaled = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-30)
-        known = np.linalg.pinv(scaled, rcond=1e-9) @ scaled
-        return self.times(np.eye(len(known)) - known)
+        known = np.linalg.pinv(scaled, rcond=_RANK_TOLERANCE) @ scaled
+        return self.transformed(np.eye(len(known)) - known)
 
     def conditioned_on_board(self) -> Posterior:
         """Likewise if every corner's place on the board were known."""
@@ -91,17 +95,17 @@ class Posterior:
         white = (root @ self.corners[:, :2]).reshape(flat.shape)
         depth = self.corners[:, 2] / _KNOWN_MM
         information = np.eye(flat.shape[1]) + white.T @ white + depth.T @ depth
-        left = self.times(np.linalg.inv(np.linalg.cholesky(information)).T)
+        left = self.transformed(np.linalg.inv(np.linalg.cholesky(information)).T)
         return replace(left, own_mm2=np.zeros_like(self.own_mm2))
 
-    def compressed(self, effects_px: FloatArray) -> Posterior:
+    def compressed(self, sensitivities_px: FloatArray) -> Posterior:
         """Keep what matters, in the precision it is stored with.
 
-        effects_px (m, r) are F's columns seen in rows of many motions.
+        sensitivities_px (m, r) are F's columns seen in rows of many motions.
         """
-        _, size, directions = np.linalg.svd(effects_px, full_matrices=False)
+        _, size, directions = np.linalg.svd(sensitivities_px, full_matrices=False)
         kept = int((size > _NEGLIGIBLE_PX).sum())
-        short = self.times(directions[: min(max(kept, 1), _MOST_COLUMNS)].T)
+        short = self.transformed(directions[: min(max(kept, 1), _MOST_COLUMNS)].T)
         return Posterior(*(_rounded(getattr(short, name)) for name in Posterior.__slots__))
 
     def to_dict(self) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from core.rig.rigid import Rig, motion_by_pose, motion_by_reference
 from core.site import CameraGeometry
 
 DISC_FLOOR_PX = 0.0007
-"""What a located disc is not trusted beyond, however low the noise."""
+"""1 sigma that a located disc has at least, however low the noise. Insensitive."""
 MAIN_GEOMETRY_SHARE = 5e-5
 """Of a false shift: the main camera is modelled without distortion and with square pixels. Sites
 with pixels off square by 1 in 10,000, as simulated, have this error."""
