@@ -118,7 +118,8 @@ def locate_corners(
 
 def _residual_ratio(figures: FloatArray) -> FloatArray:
     """(n,) mean square of the misses over what the noise explains."""
-    return np.asarray(figures[:, 0] / np.maximum(figures[:, 1], 1.0))
+    # The sum after a step is not evaluated but extrapolated: without noise it may be below 0.
+    return np.asarray(np.maximum(figures[:, 0], 0.0) / np.maximum(figures[:, 1], 1.0))
 
 
 def _odd(figures: FloatArray) -> IntArray:

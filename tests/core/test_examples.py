@@ -77,7 +77,9 @@ def board_image(turn_rad: tuple[float, float, float], middle_mm: tuple[float, fl
     larger = np.array([[4.0, 0.0, 1.5], [0.0, 4.0, 1.5], [0.0, 0.0, 1.0]])
     H = larger @ camera @ np.column_stack([R[:, 0], R[:, 1], t_mm]) @ to_mm
     fine = cv2.warpPerspective(print_px, H, (2560, 1920), borderValue=200)
-    return cv2.resize(fine, (640, 480), interpolation=cv2.INTER_AREA)
+    clear = cv2.resize(fine, (640, 480), interpolation=cv2.INTER_AREA)
+    noise = np.random.default_rng(1).normal(0.0, 1.0, clear.shape)
+    return np.rint(clear + noise).astype(np.uint8)
 
 
 HELD = [
