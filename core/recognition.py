@@ -21,6 +21,7 @@ _SWAP = (
 )
 _REVERSE = "switch ReverseX and ReverseY of the main camera off"
 _FOCAL_FACTOR = 2.0
+"""A focal length that is off by more is another lens, or a board of other squares."""
 
 
 def recognise_discs(image: GreyImage, site: Site) -> Discs:

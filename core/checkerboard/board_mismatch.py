@@ -6,6 +6,7 @@ from core.checkerboard.board import Board
 from core.errors import NotRecognisedError
 
 TURNED_BY_HALF = 2
+"""Quarter turns of a board that is seen upside down."""
 
 _HOW_TO_SEE = (
     "look in dcam-ctl preview at the writing beside the board. Upside down: turn the board by 180 "
