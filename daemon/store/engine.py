@@ -69,8 +69,10 @@ class _Place:
     def _now(self) -> tuple[int, int] | None:
         try:
             found = self._path.stat()
-        except OSError:
+        except FileNotFoundError:
             return None
+        except OSError:  # a failing disk does not say that the name is gone
+            return self._file
         return found.st_dev, found.st_ino
 
 
