@@ -17,9 +17,11 @@ from core.calibration.joint_fit import (
 from core.calibration.lens_selection import fit_chosen, start_from_views
 from core.calibration.reference_index import place_reference
 from core.calibration.report import write_report
+from core.calibration.survey_check import check_survey
 from core.calibration.views import CalibrationView, ViewRole, find_targets, relocate_corners
 from core.checkerboard.board import Board
 from core.errors import CalibrationError
+from core.images import GreyImage
 from core.results import CalibrationReport
 from core.rig.calibrated_site import CalibratedSite
 from core.site import Site
@@ -93,9 +95,16 @@ def calibrate(
         choice,
         [*rejected, *outliers, *bad, *moved],
         held_out_errors_mm(fit, options),
+        check_survey(fit, site, _reference_main(views)),
         unreadable,
     )
     return Calibration(method, calibrated), report
+
+
+def _reference_main(views: Sequence[CalibrationView]) -> GreyImage:
+    """The main camera's reference image, which `find_targets` requires."""
+    (main,) = (v.main for v in views if v.role is ViewRole.REFERENCE and v.main is not None)
+    return main
 
 
 __all__ = [

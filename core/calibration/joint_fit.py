@@ -138,6 +138,7 @@ def _fit_rigid(
     site, reference = options.site, views.reference.discs
     priors = AdjustmentPriors(
         lens=lens_prior(site.sub, skew=options.skew, model=start.model),
+        scale=site.sub_target.scale_sigma,
         rig=rig_prior(site),
         discs_px=disc_sigmas_px(reference),
     )

@@ -48,7 +48,9 @@ def _as_printed(
     """The lens and the corners (corners, 3) mm that lens views alone give."""
     boards: list[BoardView] = [view.board.view for view in views]
     poses = [resect(lens, board.corners_mm, seen).pose for seen in boards]
-    priors = AdjustmentPriors(lens=lens_prior(site.sub, model=lens.model))
+    priors = AdjustmentPriors(
+        lens=lens_prior(site.sub, model=lens.model), scale=site.sub_target.scale_sigma
+    )
     adjusted = adjust(board, boards, lens, poses, priors)
     return adjusted.lens, adjusted.corners_mm
 

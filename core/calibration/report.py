@@ -23,6 +23,7 @@ from core.calibration.observability import (
     drift_errors,
     suggest_motion,
 )
+from core.calibration.survey_check import SurveyCheck
 from core.calibration.views import RejectedView
 from core.checkerboard.resection import resect
 from core.lens.lens_choice import LensChoice
@@ -47,6 +48,7 @@ def write_report(
     choice: LensChoice,
     rejected: Sequence[RejectedView],
     held_out: FloatArray,
+    survey: SurveyCheck,
     unreadable: Sequence[str] = (),
 ) -> CalibrationReport:
     """Judge a calibration. held_out (n, 2) are the errors in mm at held-out positions.
@@ -55,11 +57,13 @@ def write_report(
     """
     drift = drift_errors(calibrated, options.site)
     problems = _problems(fit, calibrated, options, drift, held_out)
+    problems += survey.problems + _contradictions(calibrated, options, survey)
     figures = _figures(fit, calibrated, options, drift, held_out)
     figures["rejected"] = [{"view": name, "reason": reason} for name, reason in rejected]
     if unreadable:
         figures["left_out"] = list(unreadable)
     figures["problems"] = problems
+    figures["survey"] = [quantity.to_dict() for quantity in survey.quantities]
     figures["lens_held_out_px"] = {m.value: px for m, px in choice.held_out_px.items()}
     views = fit.views
     lines = [
@@ -89,7 +93,7 @@ def write_report(
             f"validated on {len(held_out)} held-out positions: {_rms(held_out):.4f} mm rms, "
             f"{float(np.hypot(*held_out.T).max()):.4f} mm at most"
         )
-    lines += _warnings(fit, figures)
+    lines += survey.lines + _warnings(fit, figures)
     return CalibrationReport(not problems, tuple(lines), figures)
 
 
@@ -120,7 +124,6 @@ def _problems(
             f"{len(fit.views.lens)} lens views; pan and tilt do not determine the lens, take 12 "
             "or more views with the board in the hand"
         )
-    problems += _contradictions(calibrated, options)
     if isinstance(calibrated.model, PaperModel) and calibrated.model.null_directions:
         problems.append(
             f"{calibrated.model.null_directions} of the paper's nine parameters are not determined "
@@ -129,26 +132,26 @@ def _problems(
     return problems
 
 
-def _contradictions(calibrated: CalibratedSite, options: FitOptions) -> list[str]:
-    """Where the views put the rig far from what drawing and survey say."""
+def _contradictions(
+    calibrated: CalibratedSite, options: FitOptions, survey: SurveyCheck
+) -> list[str]:
+    """Where the views put the cameras far from the drawing of the rig."""
     if not isinstance(calibrated.model, Rig):
         return []
     site = options.site
     drawn = nominal_rig(site, calibrated.B)
     sigmas = np.abs(calibrated.model.deviation_from(drawn)) / rig_prior(site)
     turn, offset = float(np.linalg.norm(sigmas[:3])), float(np.linalg.norm(sigmas[3:6]))
-    distance, scale = float(sigmas[6]), float(sigmas[7])
     problems = []
     if turn > _FAR_SIGMAS:
         problems.append(
             f"the cameras are turned against one another {turn:.1f} sigma from the drawing; check "
             "[rig] rotation_main_sub_deg, its signs and its sigma"
         )
-    if max(offset, distance, scale) > _FAR_SIGMAS:
+    if offset > _FAR_SIGMAS and not survey.problems:  # a wrong length shifts the cameras, too
         problems.append(
-            f"the rig does not fit the survey (offset {offset:.1f}, target distance "
-            f"{distance:.1f}, scale {scale:.1f} sigma off); check [rig] offset_main_sub_mm and its "
-            "signs, [target.main] distance_mm and centres_mm"
+            f"the cameras' offset is {offset:.1f} sigma from the drawing; check [rig] "
+            "offset_main_sub_mm and its signs"
         )
     return problems
 

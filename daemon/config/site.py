@@ -131,15 +131,23 @@ class CheckerboardSection(Section):
     squares_x: int = Field(ge=4, le=1000)
     squares_y: int = Field(ge=4, le=1000)
     square_mm: float = Field(gt=0)
+    square_sigma_mm: float | None = Field(default=None, gt=0)
     distance_mm: float = Field(gt=0, le=1e5)
+    distance_sigma_mm: float | None = Field(default=None, gt=0)
 
     def target(self) -> CheckerboardTarget:
-        """Convert to the core's type."""
+        """Convert to the core's type; a sigma that is not given is the core's default."""
+        sigmas: dict[str, float] = {}
+        if self.square_sigma_mm is not None:
+            sigmas["scale_sigma"] = self.square_sigma_mm / self.square_mm
+        if self.distance_sigma_mm is not None:
+            sigmas["distance_sigma"] = self.distance_sigma_mm / self.distance_mm
         return CheckerboardTarget(
             squares_x=self.squares_x,
             squares_y=self.squares_y,
             square_mm=self.square_mm,
             distance_mm=self.distance_mm,
+            **sigmas,
         )
 
 

@@ -1,0 +1,67 @@
+"""A wrong number of the config does not pass, and is named with what it should be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from core.calibration.calibrate import calibrate
+from core.calibration.survey_check import Group, Quantity
+from tests.core.sessions import Session
+
+
+def plate(distance: float, diameter: float) -> Group:
+    """A main target at 11 m of discs of 8 mm, seen at these multiples of both."""
+    return Group(
+        (
+            Quantity("d", "mm", (11000.0, 11000.0), 11000.0 * distance, 0.003, {"D": 1, "L": -1}),
+            Quantity("w", "mm", (8.0, 8.0), 8.0 * diameter, 0.015, {"W": 1, "L": -1}),
+        ),
+        {"D": 11000.0, "L": 1.0, "W": 8.0},
+        "measure",
+    )
+
+
+@pytest.mark.parametrize(
+    ("distance", "diameter", "said"),
+    [
+        (0.9, 1.0, "D is likely about 9900, not 11000:"),
+        (1.0, 0.8, "W is likely about 6.4, not 8:"),
+        (0.8, 0.8, "L is likely about 1.25, not 1:"),
+        (0.9, 0.7, "L is likely about 1.11, not 1 and W is likely about 6.22, not 8, or D is"),
+    ],
+    ids=["distance", "diameter", "centres", "two numbers"],
+)
+def test_the_fewest_numbers_that_explain_the_images_are_named(distance, diameter, said) -> None:
+    problem = plate(distance, diameter).problem
+    assert problem is not None
+    assert problem.startswith(said)
+
+
+def test_what_is_within_its_sigma_is_no_problem() -> None:
+    assert plate(1.01, 1.05).problem is None
+
+
+def test_a_focused_lens_is_longer_than_engraved() -> None:
+    """A 6 mm lens focused at 50 mm has its image 6.82 mm behind it."""
+    lens = Quantity("f", "px", (1024.0, 1163.0), 1160.0, 0.025, {"f": 1})
+    assert lens.sigmas == 0.0
+    assert replace(lens, seen=1400.0).sigmas == pytest.approx(7.42, abs=0.01)
+
+
+def test_a_true_config_passes_and_the_report_shows_what_was_compared(quick: Session) -> None:
+    assert quick.report.passed
+    off = [abs(quantity["off_sigmas"]) for quantity in quick.report.figures["survey"]]
+    assert len(off) == 5
+    assert max(off) < 3.0
+    assert any(line.startswith("measure by hand") for line in quick.report.lines)
+
+
+def test_squares_of_another_size_do_not_pass(quick: Session) -> None:
+    """3 mm in the config, 2 mm printed: the board would be half as far away again as drawn."""
+    target = replace(quick.site.sub_target, square_mm=3.0)
+    _, report = calibrate(quick.views, replace(quick.site, sub_target=target))
+    assert not report.passed
+    assert "target.sub.square_mm is likely about 2, not 3" in report.lines[0]
+    assert "22 x 15 squares are 66.0 x 45.0 mm" in report.lines[0]
