@@ -53,7 +53,7 @@ def _general_cure(number: int | None, where: str) -> str | None:
 
 def _missing(path: Path) -> str:
     if path.parent.is_dir():
-        return "check its name"
+        return "check its name" if path.suffix else f"check its name, or mkdir -p {path}"
     return f"there is no directory {path.parent}: check the path, or mkdir -p {path.parent}"
 
 
@@ -73,8 +73,9 @@ def _not_allowed(path: Path) -> str:
         )
     if os.geteuid() in {0, found.st_uid}:
         return f"{me} may not: check its permissions (ls -ld, lsattr -d), or name another path"
+    sudo = "sudo" if owner == "root" else f"sudo -u {owner}"
     return (
-        f"{me} may not, it belongs to {owner}: run the command as that user (sudo -u {owner} ...),"
+        f"{me} may not, it belongs to {owner}: run the command as that user ({sudo} ...),"
         " or name another path"
     )
 

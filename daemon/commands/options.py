@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import errno
 import os
 import re
 import stat
@@ -16,7 +17,7 @@ import click
 
 from daemon.config.reading import Config, Installation, find_installation
 from daemon.errors import HardwareError
-from daemon.user_names import group_name
+from daemon.file_errors import file_error_text
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -64,17 +65,15 @@ def _require_usable(state: Path) -> None:
     """Raise HardwareError for a state directory that is there but cannot be looked into."""
     try:
         if not stat.S_ISDIR(state.stat().st_mode):
-            msg = f"{state}: not a directory; check its permissions, or name another --state"
+            msg = f"{state}: not a directory; name another --state"
             raise HardwareError(msg)
     except FileNotFoundError:
         return  # whoever writes first makes it
     except OSError as error:
-        msg = f"{state}: cannot be read ({error.strerror}); check its permissions"
-        raise HardwareError(msg) from error
+        raise HardwareError(file_error_text(error)) from error
     if not os.access(state, os.R_OK | os.X_OK):
-        group = group_name(state.stat().st_gid)
-        msg = f"{state}: cannot be read; check its permissions, or join its group {group}"
-        raise HardwareError(msg)
+        denied = PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(state))
+        raise HardwareError(file_error_text(denied))
 
 
 class SuggestingGroup(click.Group):

@@ -15,6 +15,7 @@ from daemon.config.model import BURST_SHARE, DEFAULT_STATE_DIRECTORY, Config, Si
 from daemon.config.plausibility import implausible_values
 from daemon.config.problems import describe_problems
 from daemon.errors import ConfigError
+from daemon.file_errors import file_error_text
 
 __all__ = [
     "DEFAULT_CONFIG_PATH",
@@ -58,7 +59,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         msg = f"{path}: no such file; name one with --config FILE or DCAM_CONFIG"
     except OSError as error:
-        msg = f"{path}: cannot be read: {error.strerror}; check what it is and its permissions"
+        msg = file_error_text(error)
     except UnicodeDecodeError as error:
         msg = f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8"
     except tomllib.TOMLDecodeError as error:

@@ -353,7 +353,7 @@ def test_a_program_that_hangs_is_ended_with_what_it_started(
     reader = os.open(alive, os.O_RDONLY | os.O_NONBLOCK)
     ran = site.ctl("alarm", "--test")
     assert ran.code == 4
-    assert "sh: not done in" in ran.err
+    assert "did not accept 'dcam bench: test': not done in" in ran.err
     os.set_blocking(reader, True)
     assert os.read(reader, 1) == b""  # the last writer is gone
     os.close(reader)
