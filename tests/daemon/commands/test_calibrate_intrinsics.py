@@ -142,18 +142,18 @@ def test_too_few_views_are_told_with_what_is_missing(ctl: Ctl, bench: Path, tmp_
 def held(config: Path) -> Watched:
     made = watched(config)
     made.move_to(0.0, 0.0)
-    made.rig = replace(made.rig, hold_board=made.world.hold_board)
+    made.devices = replace(made.devices, hold_board=made.world.hold_board)
     return made
 
 
 def bench_of(held: Watched) -> Bench:
-    rig = held.rig
+    rig = held.devices
     return Bench(rig.site, rig.source, rig.clock, rig.hold_board)
 
 
 def test_a_board_that_is_not_moved_on_is_kept_once(held: Watched, tmp_path: Path) -> None:
-    held.rig = replace(
-        held.rig, hold_board=lambda number: held.world.hold_board((number or 0) // 3)
+    held.devices = replace(
+        held.devices, hold_board=lambda number: held.world.hold_board((number or 0) // 3)
     )
     said: list[str] = []
     directory = take_lens_views(bench_of(held), tmp_path, lambda _covered, text: said.append(text))
@@ -182,7 +182,7 @@ def test_a_moving_or_covered_board_is_not_kept(held: Watched, tmp_path: Path) ->
         held.world.hold_board(number)
 
     held.spoil = spoil
-    held.rig = replace(held.rig, hold_board=hold)
+    held.devices = replace(held.devices, hold_board=hold)
     said: list[str] = []
     take_lens_views(bench_of(held), tmp_path, lambda _covered, text: said.append(text))
     assert said[0] == "not kept: the board moves; hold it still"
