@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from tests.crash.disk import ROOT, Operation
+from tests.waiting import PATIENCE_S
 
 TOP = Path(__file__).parents[2]
 MARK = "user.mark"
@@ -59,7 +60,7 @@ class LossyMount:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._program.communicate(timeout=30)
+        self._program.communicate(timeout=PATIENCE_S)
 
     def take(self) -> list[Operation]:
         """Everything that was done since the last call; the first call waits for the mount."""

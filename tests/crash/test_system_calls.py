@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from daemon.store.sqlite import FILE_NAME
+from tests.crash.interrupted import CALLS, SLOTS
 from tests.crash.promises import Finished, Promises, broken, read_database
-from tests.crash.struck import CALLS, SLOTS
 
 TOP = Path(__file__).parents[2]
 END = SLOTS[-1] + timedelta(seconds=200)
@@ -32,7 +32,7 @@ INJECTIONS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Strike:
+class InterruptedRun:
     """What became of a daemon."""
 
     injection: str
@@ -48,20 +48,20 @@ class Strike:
         return self.directory / "state"
 
 
-class Struck:
-    """Starts daemons and has them struck."""
+class Interrupter:
+    """Starts daemons and has them interrupted."""
 
     def __init__(self, root: Path) -> None:
         self._root = root
         self._number = 0
 
-    def strike(self, injections: Iterable[str]) -> list[Strike]:
+    def run(self, injections: Iterable[str]) -> list[InterruptedRun]:
         injections = list(injections)
         names = [str(self._number + number) for number in range(len(injections))]
         self._number += len(names)
         orders = "".join(f"{name} {one}\n" for name, one in zip(names, injections, strict=True))
         result = subprocess.run(
-            [sys.executable, "-m", "tests.crash.struck", str(self._root)],
+            [sys.executable, "-m", "tests.crash.interrupted", str(self._root)],
             cwd=TOP,
             input=orders,
             capture_output=True,
@@ -73,7 +73,7 @@ class Struck:
         if "attached" not in answers[0]["strace"]:
             pytest.skip(f"strace may not trace here: {answers[0]['strace']}")
         return [
-            Strike(
+            InterruptedRun(
                 one,
                 self._root / name,
                 answer["exit"],
@@ -85,28 +85,28 @@ class Struck:
 
 
 @pytest.fixture(scope="module")
-def struck(scratch: Path) -> Struck:
+def interrupter(scratch: Path) -> Interrupter:
     if shutil.which("strace") is None:
         pytest.skip("strace is not installed")
-    root = scratch / "struck"
+    root = scratch / "interrupted"
     root.mkdir()
-    return Struck(root)
+    return Interrupter(root)
 
 
 @pytest.fixture(scope="module")
-def undisturbed(struck: Struck) -> Strike:
+def undisturbed(interrupter: Interrupter) -> InterruptedRun:
     """A run that nothing happens to."""
-    (strike,) = struck.strike(["-"])
-    assert strike.acknowledged == frozenset(range(len(SLOTS)))
-    return strike
+    (run,) = interrupter.run(["-"])
+    assert run.acknowledged == frozenset(range(len(SLOTS)))
+    return run
 
 
 @pytest.fixture(scope="module")
-def reference(undisturbed: Strike) -> Finished:
+def reference(undisturbed: InterruptedRun) -> Finished:
     return read_database(undisturbed.state / FILE_NAME)
 
 
-def every_call(undisturbed: Strike, how: str, calls: Sequence[str]) -> list[str]:
+def every_call(undisturbed: InterruptedRun, how: str, calls: Sequence[str]) -> list[str]:
     """An injection at each call of these kinds that the undisturbed run made."""
     return [
         f"{call}:{how}:when={number}"
@@ -115,7 +115,7 @@ def every_call(undisturbed: Strike, how: str, calls: Sequence[str]) -> list[str]
     ]
 
 
-def frames_of(slots: Iterable[int], undisturbed: Strike) -> dict[str, bytes]:
+def frames_of(slots: Iterable[int], undisturbed: InterruptedRun) -> dict[str, bytes]:
     """The images of slots, as every run takes them."""
     files = {}
     for number in slots:
@@ -125,51 +125,54 @@ def frames_of(slots: Iterable[int], undisturbed: Strike) -> dict[str, bytes]:
 
 
 def test_killed_at_each_call_nothing_acknowledged_is_lost(
-    struck: Struck, undisturbed: Strike, reference: Finished, tally: Callable[[str], None]
+    interrupter: Interrupter,
+    undisturbed: InterruptedRun,
+    reference: Finished,
+    tally: Callable[[str], None],
 ) -> None:
     found = []
-    strikes = struck.strike(every_call(undisturbed, *INJECTIONS["killed"]))
-    for strike in strikes:
-        assert strike.exit == -9, strike
+    runs = interrupter.run(every_call(undisturbed, *INJECTIONS["killed"]))
+    for run in runs:
+        assert run.exit == -9, run
         promised = Promises(
             first_slot_utc=SLOTS[0],
-            rows=frozenset(SLOTS[number] for number in strike.acknowledged),
-            files=frames_of(strike.acknowledged, undisturbed),
+            rows=frozenset(SLOTS[number] for number in run.acknowledged),
+            files=frames_of(run.acknowledged, undisturbed),
             absence=frozenset({"power_loss", "stopped"}),
         )
-        why = broken(strike.state, promised, reference, END, twice=False)
-        found += [f"{strike.injection}: {why}"] if why else []
-    tally(f"SIGKILL at {len(strikes)} system calls of two slots: {len(found)} broke a promise")
+        why = broken(run.state, promised, reference, END, twice=False)
+        found += [f"{run.injection}: {why}"] if why else []
+    tally(f"SIGKILL at {len(runs)} system calls of two slots: {len(found)} broke a promise")
     assert found == []
 
 
 @pytest.mark.parametrize("error", ["EIO", "ENOSPC"])
 def test_refused_each_call_it_goes_on_and_accounts_for_every_slot(
-    struck: Struck, undisturbed: Strike, error: str, tally: Callable[[str], None]
+    interrupter: Interrupter, undisturbed: InterruptedRun, error: str, tally: Callable[[str], None]
 ) -> None:
     found = []
-    strikes = struck.strike(every_call(undisturbed, *INJECTIONS[error]))
-    for strike in strikes:
-        why = went_on(strike)
-        why += broken(strike.state, *told_by(strike, undisturbed), END, twice=False)
-        found += [f"{strike.injection}: {why}"] if why else []
-    tally(f"{error} at {len(strikes)} system calls of two slots: {len(found)} broke a promise")
+    runs = interrupter.run(every_call(undisturbed, *INJECTIONS[error]))
+    for run in runs:
+        why = went_on(run)
+        why += broken(run.state, *told_by(run, undisturbed), END, twice=False)
+        found += [f"{run.injection}: {why}"] if why else []
+    tally(f"{error} at {len(runs)} system calls of two slots: {len(found)} broke a promise")
     assert found == []
 
 
-def went_on(strike: Strike) -> list[str]:
+def went_on(run: InterruptedRun) -> list[str]:
     """A call that fails once costs one slot at most, and never the daemon."""
-    if strike.exit != 0:
-        return [f"it ended with {strike.exit}"]
-    lost = len(SLOTS) - len(strike.acknowledged)
+    if run.exit != 0:
+        return [f"it ended with {run.exit}"]
+    lost = len(SLOTS) - len(run.acknowledged)
     return [f"{lost} slots have no row"] if lost > 1 else []
 
 
-def told_by(strike: Strike, undisturbed: Strike) -> tuple[Promises, Finished]:
+def told_by(run: InterruptedRun, undisturbed: InterruptedRun) -> tuple[Promises, Finished]:
     """What a run that came to its end had promised; its rows name the frames that it kept."""
-    left = read_database(strike.state / FILE_NAME)
-    slots = frozenset(SLOTS[number] for number in strike.acknowledged)
-    kept = [number for number in strike.acknowledged if names_frames(left, number)]
+    left = read_database(run.state / FILE_NAME)
+    slots = frozenset(SLOTS[number] for number in run.acknowledged)
+    kept = [number for number in run.acknowledged if names_frames(left, number)]
     promised = Promises(
         first_slot_utc=SLOTS[0],
         rows=slots,

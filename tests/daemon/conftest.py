@@ -1,4 +1,4 @@
-"""A small site on a stepped clock, with a pair source that does as it is told."""
+"""A small site on a stepped clock, with a pair source that follows a script."""
 
 import threading
 from collections.abc import Callable
@@ -48,8 +48,8 @@ SITE = Site(
 
 
 @dataclass
-class ToldSource:
-    """Gives a pair at each slot, unless told to do something else at that slot."""
+class ScriptedSource:
+    """Gives a pair at each slot, unless its script has something else for that slot."""
 
     clock: SteppedClock
     orders: dict[int, Callable[[], object]] = field(default_factory=dict)
@@ -91,7 +91,7 @@ class Station:
         self.booted_s: dict[str, float] = {}
         self.synchronised: bool | None = None
         self.context = self.pipeline("boot-1")
-        self.source = ToldSource(self.clock)
+        self.source = ScriptedSource(self.clock)
         self.stop = threading.Event()
 
     def pipeline(self, boot_id: str) -> SlotContext:

@@ -30,7 +30,8 @@ def test_system_clock_is_utc_and_monotonic() -> None:
     """now_utc is timezone-aware UTC; monotonic seconds are the host's."""
     clock = SystemClock()
     assert clock.now_utc().utcoffset() == timedelta(0)
-    assert abs(clock.monotonic_s() - time.monotonic()) < 0.5
+    before_s = time.monotonic()
+    assert before_s <= clock.monotonic_s() <= time.monotonic()
 
 
 def test_past_time_returns_at_once() -> None:
@@ -77,10 +78,8 @@ def test_stop_ends_the_wait() -> None:
     clock = SystemClock()
     stop = threading.Event()
     threading.Timer(0.02, stop.set).start()
-    began = time.monotonic()
     assert not clock.wait_until(clock.now_utc() + timedelta(hours=1), stop)
     assert not clock.wait_until(clock.now_utc() - timedelta(hours=1), stop)
-    assert time.monotonic() - began < 5.0
 
 
 def test_stepped_clock_jumps() -> None:

@@ -12,11 +12,11 @@ from daemon.store.database import open_store_readonly
 from drivers.frameset import read_frame_set
 from drivers.sim.head_angles import AnglesAsker
 from tests.drivers.heads.test_head_programs import ROOT, simulated_head
+from tests.waiting import PATIENCE_S
 
 KILLS, SEED = 10, 5
 REFERENCE_FILES = 20
 """Lens views and the zero with its repetitions are about so many images."""
-DEADLINE_S = 60.0
 SITE_WITH_HEAD = """
 [simulation]
 head_angles = "{0}/angles"
@@ -49,7 +49,7 @@ def killed_after(directory: Path, files: int) -> bytes:
     """Kill it when so many new images are there, or just before; give what was said at the end."""
     begun = files_below(directory / "state")
     with start(directory) as program:
-        end_s = time.monotonic() + DEADLINE_S
+        end_s = time.monotonic() + PATIENCE_S
         while files_below(directory / "state") < begun + files and program.poll() is None:
             assert time.monotonic() < end_s
             time.sleep(0.002)

@@ -15,14 +15,14 @@ from daemon.errors import StoreError
 from daemon.store.database import open_store_readonly
 from daemon.store.records import GapCause
 from tests.daemon.commands.conftest import SIMULATED
+from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).parents[2]
-DEADLINE_S = 120.0
 
 
 def wait_for_slots(dcamd: subprocess.Popen, state: Path, count: int) -> None:
     """Wait until so many slots have a row."""
-    end_s = time.monotonic() + DEADLINE_S
+    end_s = time.monotonic() + PATIENCE_S
     while time.monotonic() < end_s:
         assert dcamd.poll() is None, "dcamd ended"
         # The database may be in the making.
@@ -72,7 +72,7 @@ def test_slots_before_gap_calibration_slots_after(tmp_path: Path) -> None:
             before = len(store.measured_slots())
         wait_for_slots(dcamd, state, before + 2)
         dcamd.send_signal(signal.SIGTERM)
-        assert dcamd.wait(DEADLINE_S) == 0
+        assert dcamd.wait(PATIENCE_S) == 0
     with open_store_readonly(state) as store:
         rows = list(store.measurements())
         gaps = [gap for gap in store.gaps() if gap.cause is GapCause.CALIBRATION]

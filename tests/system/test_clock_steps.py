@@ -16,6 +16,7 @@ import pytest
 
 from daemon.store.database import ALWAYS, open_store
 from tests.daemon.commands.conftest import SIMULATED
+from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).parents[2]
 LIBRARY = next(Path(libfaketime.__file__).parent.rglob("libfaketime.so.1"))
@@ -36,7 +37,7 @@ class Station:
         self.config.write_text(SECONDS, encoding="utf-8")
         self._manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._manager.bind(str(directory / "notify"))
-        self._manager.settimeout(120)
+        self._manager.settimeout(PATIENCE_S)
         self._address = str(directory / "notify")
 
     def set_clock(self, shift_s: int) -> None:
@@ -97,7 +98,7 @@ def test_a_step_forward_and_back_again(station: Station, step_s: int) -> None:
     station.set_clock(0)
     station.slots(3)
     dcamd.send_signal(signal.SIGTERM)
-    assert dcamd.wait(60) == 0
+    assert dcamd.wait(PATIENCE_S) == 0
     with open_store(station.state, create=False) as store:
         rows = [row.slot_utc for row in store.measurements()]
         gap = next(gap for gap in store.gaps() if gap.slots > step_s // 2)
@@ -124,7 +125,7 @@ def test_a_step_back_and_forth_again(station: Station, step_s: int) -> None:
     station.set_clock(0)
     after = station.slots(2, since=before)
     dcamd.send_signal(signal.SIGTERM)
-    assert dcamd.wait(60) == 0
+    assert dcamd.wait(PATIENCE_S) == 0
     with open_store(station.state, create=False) as store:
         rows = [row.slot_utc for row in store.measurements(ALWAYS)]
         first, last = store.accounted()
@@ -156,7 +157,7 @@ def test_a_wake_in_the_past_loses_no_acknowledged_row(station: Station) -> None:
     station.set_clock(0)
     station.slots(2, since=first)
     dcamd.send_signal(signal.SIGTERM)
-    assert dcamd.wait(60) == 0
+    assert dcamd.wait(PATIENCE_S) == 0
     with open_store(station.state, create=False) as store:
         rows = {f"{row.slot_utc:%Y-%m-%dT%H:%M:%SZ}" for row in store.measurements()}
         start, last = store.accounted()

@@ -29,12 +29,11 @@ from tests.drivers.genicam.gige.bench import gige_network, image_index, read_pix
 from tests.drivers.genicam.gige.loopback import ADDRESSES
 from tests.drivers.genicam.gige.process import REPOSITORY, CameraProcess
 from tests.laboratory import laboratory
+from tests.waiting import PATIENCE_S
 
 PERIOD_S = 2
 N_SCENES = 8
 SERIALS = {"main": "15290000", "sub": "15290001"}
-WAIT_S = 60.0
-"""How long to wait for what takes a few slots; a loaded machine may be slow."""
 
 CONFIG = (
     laboratory(720, "aravis")
@@ -136,7 +135,7 @@ def history(place: Place, cameras: dict[str, CameraProcess]) -> dict[str, dateti
         try:
             when = _lose_and_give_back(place, cameras["main"], dcamd)
             dcamd.send_signal(signal.SIGTERM)
-            assert dcamd.wait(WAIT_S) == 0
+            assert dcamd.wait(PATIENCE_S) == 0
         finally:
             dcamd.kill()
     return when
@@ -146,7 +145,7 @@ def _lose_and_give_back(
     place: Place, camera: CameraProcess, dcamd: subprocess.Popen[bytes]
 ) -> dict[str, datetime]:
     def wait_for(what: str, condition: Callable[[], bool]) -> datetime:
-        deadline_s = time.monotonic() + WAIT_S
+        deadline_s = time.monotonic() + PATIENCE_S
         while not condition():
             log = place.state.parent / "dcamd.log"
             assert dcamd.poll() is None, f"dcamd ended:\n{log.read_text()}"

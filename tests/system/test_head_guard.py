@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from tests.daemon.commands.conftest import SIMULATED
+from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).parents[2]
-DEADLINE_S = 60.0
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def where(angles: Path) -> tuple[float, float]:
 
 def until(angles: Path, moving: bool) -> tuple[float, float]:
     """Look every fifth of a second until the head moves, or until it does not any more."""
-    last, end_s = where(angles), time.monotonic() + DEADLINE_S
+    last, end_s = where(angles), time.monotonic() + PATIENCE_S
     while time.monotonic() < end_s:
         time.sleep(0.2)
         now = where(angles)

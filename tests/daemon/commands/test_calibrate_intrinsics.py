@@ -26,6 +26,7 @@ from drivers.sim.settings import SimSettings
 from drivers.sim.world import World
 from tests.daemon.commands.conftest import SEED, SIMULATED, Ctl
 from tests.daemon.commands.test_calibrate_pan_tilt import ROOT, Watched, watched
+from tests.waiting import PATIENCE_S
 
 CAMERA = CameraGeometry(width_px=600, height_px=400, pixel_pitch_um=5.86, focal_length_mm=6.0)
 
@@ -245,7 +246,7 @@ def test_lens_views_that_were_broken_off_do_not_replace_whole_ones(
         while program.poll() is None and not (second / "frames.csv").exists():
             pass
         program.send_signal(signal.SIGTERM)
-        _, err = program.communicate(timeout=60)
+        _, err = program.communicate(timeout=PATIENCE_S)
     assert program.returncode == 1
     assert err.splitlines()[-1].endswith("too few to be used; the same command starts again")
     assert read_frame_set(second).rows_of("intrinsics")

@@ -32,6 +32,7 @@ from drivers.protocols import CapturedFrame, CapturedPair
 from drivers.sim.settings import SimSettings
 from drivers.sim.world import World
 from tests.daemon.commands.conftest import SIMULATED, Ctl
+from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).parents[3]
 BEGIN = datetime(2026, 2, 28, 23, tzinfo=UTC)
@@ -426,7 +427,7 @@ def test_sigterm_halts_and_says_how_to_go_on(config: Path, tmp_path: Path) -> No
         while program.poll() is None and not list(state.glob(f"{FOLDER}/*/frames.csv")):
             pass
         program.send_signal(signal.SIGTERM)
-        _, err = program.communicate(timeout=60)
+        _, err = program.communicate(timeout=PATIENCE_S)
     assert program.returncode == 1
     assert "interrupted; the views are kept, the same command continues from there" in err
     assert len(err.strip().splitlines()) == 1

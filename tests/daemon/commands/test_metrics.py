@@ -15,6 +15,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from daemon.lock import sole_writer
 from daemon.store.records import CameraState, GapCause
 from tests.daemon.commands.conftest import DARK, MINUTE, Ran, Site
+from tests.waiting import PATIENCE_S
 
 Read = dict[tuple[str, tuple[tuple[str, str], ...]], float]
 
@@ -162,7 +163,7 @@ def test_metrics_load_no_numerics_and_no_orm(site: Site) -> None:
         cwd=Path(__file__).parents[3],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert ran.returncode == 0, ran.stderr

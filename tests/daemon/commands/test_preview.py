@@ -17,6 +17,7 @@ import pytest
 from core.images import GreyImage
 from daemon.preview.snapshot import focus_figure
 from tests.daemon.commands.conftest import SIMULATED, Ctl
+from tests.waiting import PATIENCE_S
 
 
 @pytest.fixture
@@ -36,7 +37,7 @@ def preview(tmp_path: Path):
 
 def fetch(url: str, host: str | None = None) -> bytes:
     request = urllib.request.Request(url, headers={"Host": host} if host else {})
-    with urllib.request.urlopen(request, timeout=30) as answer:
+    with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
         return answer.read()
 
 
@@ -56,7 +57,7 @@ def test_preview_shows_both_cameras_and_ends_with_ctrl_c(preview) -> None:
         picture = cv2.imdecode(np.frombuffer(fetch(address + name), np.uint8), 0)
         assert picture.shape == ((400, 640) if "detail" not in name else (400, 480))
     process.send_signal(signal.SIGINT)
-    assert process.wait(30) == 0
+    assert process.wait(PATIENCE_S) == 0
 
 
 def test_preview_answers_only_this_machine_and_only_what_it_has(preview) -> None:

@@ -21,6 +21,7 @@ from daemon.control.run_state import LastSlot, LostCamera, RunState, write_run_s
 from daemon.lock import sole_writer
 from daemon.store.records import FrameDay, GapCause, Mark
 from tests.daemon.commands.conftest import DARK, MINUTE, SIMULATED, START, Ctl, Ran, Site
+from tests.waiting import PATIENCE_S
 
 
 def test_a_site_that_runs_is_ok(site: Site) -> None:
@@ -391,7 +392,7 @@ def test_status_loads_no_numerics_no_orm_and_no_logger(site: Site) -> None:
             cwd=Path(__file__).parents[3],
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=PATIENCE_S,
             check=False,
         )
     assert ran.returncode == 0, ran.stdout

@@ -19,10 +19,11 @@ from daemon.control.control_socket import (
     control_socket,
     paused_daemon,
 )
+from daemon.control.notify import Notifier
 from daemon.errors import HardwareError
+from daemon.slots.reporting import Reporter
 from daemon.slots.runner import SlotRunner
-
-DEADLINE_S = 20.0
+from tests.waiting import PATIENCE_S
 
 
 class Served:
@@ -32,14 +33,14 @@ class Served:
         self.station = station
         self.closed = 0
         self.lease = CameraLease(self._close)
-        self.runner = station.start()
+        station.start()
         self.runner = SlotRunner(
             station.context,
             station.schedule,
             station.source,
             station.stop,
             None,
-            self.runner._reporter,
+            Reporter(Notifier(None)),
             self.lease,
         )
 
@@ -57,7 +58,7 @@ def served(station) -> Iterator[Served]:
 @contextlib.contextmanager
 def connected(state: Path) -> Iterator[socket.socket]:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-        connection.settimeout(DEADLINE_S)
+        connection.settimeout(PATIENCE_S)
         connection.connect(str(state / SOCKET_NAME))
         yield connection
 
@@ -89,7 +90,7 @@ def until_measuring(lease: CameraLease) -> None:
         ended.set()
 
     threading.Thread(target=hold, daemon=True).start()
-    assert ended.wait(DEADLINE_S), "the pause did not end with its connection"
+    assert ended.wait(PATIENCE_S), "the pause did not end with its connection"
 
 
 def test_a_pause_is_a_gap_with_its_cause_and_ends_by_itself(served: Served) -> None:
@@ -131,12 +132,12 @@ def test_the_pause_waits_for_the_slot_in_progress(served: Served) -> None:
 
     def during_the_capture() -> None:
         client.start()
-        assert asking.wait(DEADLINE_S)
+        assert asking.wait(PATIENCE_S)
         assert not served.closed
 
     served.station.source.orders = {0: during_the_capture}
     served.runner.run(1)
-    client.join(DEADLINE_S)
+    client.join(PATIENCE_S)
     assert told == [[0]]
 
 
@@ -212,7 +213,7 @@ def test_who_asks_and_never_reads_is_let_go_and_delays_nobody(
         with connected(state) as other:
             assert ask(other, b'{"command": "status"}')["ok"]
         served.runner.run(2)
-        slow.settimeout(DEADLINE_S)
+        slow.settimeout(PATIENCE_S)
         with contextlib.suppress(ConnectionError):
             while True:
                 slow.sendall(b'{"command": "status"}\n')

@@ -18,8 +18,9 @@ from daemon.errors import DcamError
 from daemon.schedule import Schedule
 from daemon.slots.snapshot import room_for_look
 from drivers.errors import DeviceLostError
-from tests.daemon.control.test_control import DEADLINE_S, ask, connected
+from tests.daemon.control.test_control import ask, connected
 from tests.daemon.slots.test_dcamd import MARCH, REAL_TIME, ROOT, Site, unaccounted
+from tests.waiting import PATIENCE_S
 
 LOST = '[[simulation.scenarios]]\nkind = "camera_loss"\nrole = "sub"\nstart_min = 0\n'
 
@@ -40,7 +41,7 @@ def running(site: Site) -> Iterator[subprocess.Popen]:
         yield process
     finally:
         process.send_signal(signal.SIGTERM)
-        assert process.wait(60) == 0
+        assert process.wait(PATIENCE_S) == 0
 
 
 def ctl(site: Site, *words: str) -> subprocess.CompletedProcess[str]:
@@ -49,7 +50,7 @@ def ctl(site: Site, *words: str) -> subprocess.CompletedProcess[str]:
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=150,
+        timeout=PATIENCE_S,
         check=False,
     )
 
@@ -133,21 +134,21 @@ def test_a_look_waits_for_the_slot_in_progress_and_a_slot_for_the_look() -> None
     in_look, may_end = threading.Event(), threading.Event()
 
     def look() -> None:
-        with lease.between_slots(lambda ended_utc: ended_utc == MARCH, DEADLINE_S) as refusal:
+        with lease.between_slots(lambda ended_utc: ended_utc == MARCH, PATIENCE_S) as refusal:
             order.append(refusal or "look")
             in_look.set()
-            may_end.wait(DEADLINE_S)
+            may_end.wait(PATIENCE_S)
             order.append("look is over")
 
     looking = threading.Thread(target=look)
     with lease.slot(MARCH):
         looking.start()
         order.append("slot")
-    assert in_look.wait(DEADLINE_S)
+    assert in_look.wait(PATIENCE_S)
     may_end.set()
     with lease.slot(MARCH + timedelta(minutes=1)):
         order.append("slot")
-    looking.join(DEADLINE_S)
+    looking.join(PATIENCE_S)
     assert order == ["slot", "look", "look is over", "slot"]
 
 
@@ -187,14 +188,14 @@ def test_a_thousand_who_want_a_look_get_one_and_delay_no_slot(station) -> None:
 
     def look() -> dict:
         looking.set()
-        may_end.wait(DEADLINE_S)
+        may_end.wait(PATIENCE_S)
         return {"measurement": 1}
 
     runner = station.start()
     request = b'{"command": "capture"}'
     with served(station, look), connected(station.state) as first:
         first.sendall(request + b"\n")
-        assert looking.wait(DEADLINE_S)
+        assert looking.wait(PATIENCE_S)
         for _ in range(1000):
             with connected(station.state) as another:
                 answer = ask(another, request)

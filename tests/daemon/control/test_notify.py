@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from daemon.control.notify import Notifier
+from tests.waiting import PATIENCE_S
 
 
 @pytest.fixture(params=["path", "abstract"])
@@ -20,7 +21,7 @@ def manager(request, tmp_path: Path):
     )
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
         listening.bind(address)
-        listening.settimeout(5)
+        listening.settimeout(PATIENCE_S)
         yield listening, given
 
 

@@ -19,6 +19,7 @@ from daemon.clock.machine import BOOT_ID_VARIABLE
 from daemon.store.database import Store, open_store
 from daemon.store.records import GapCause, Mark
 from tests.laboratory import laboratory
+from tests.waiting import PATIENCE_S
 
 DCAMD = [sys.executable, "-m", "daemon.main"]
 ROOT = Path(__file__).parents[3]
@@ -37,7 +38,7 @@ class Site:
         self.manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.address = str(directory / "notify")
         self.manager.bind(self.address)
-        self.manager.settimeout(60)
+        self.manager.settimeout(PATIENCE_S)
 
     def close(self) -> None:
         self.manager.close()
@@ -58,7 +59,7 @@ class Site:
             env=os.environ | {"NOTIFY_SOCKET": ""},
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=PATIENCE_S,
             check=False,
         )
 
@@ -106,7 +107,7 @@ def test_runs_its_slots_faster_than_time_and_ends(site: Site) -> None:
     site.told(r"^STATUS=slot 2026-03-01T00:03:00Z missed: camera_lost$")
     site.told(r"^STATUS=slot 2026-03-01T00:07:00Z done: bad$")
     site.told(r"^STOPPING=1$")
-    assert process.wait(60) == 0
+    assert process.wait(PATIENCE_S) == 0
     with site.store() as store:
         rows = store.measured_slots()
         assert rows == {MARCH + timedelta(minutes=minute) for minute in (0, 1, 2, 6, 7)}
@@ -137,7 +138,7 @@ def test_signal_ends_the_slot_and_closes_cleanly(site: Site, number: signal.Sign
     site.told(r"^STATUS=slot .* done")
     process.send_signal(number)
     site.told(r"^STOPPING=1$")
-    assert process.wait(30) == 0
+    assert process.wait(PATIENCE_S) == 0
     log = site.log.read_text()
     with site.store() as store:
         assert store.measured_slots() == site.acknowledged(log)
@@ -156,7 +157,7 @@ def test_second_dcamd_on_the_same_state_is_refused(site: Site) -> None:
         assert f"in use by dcamd (pid {first.pid})" in line
     finally:
         first.send_signal(signal.SIGTERM)
-    assert first.wait(30) == 0
+    assert first.wait(PATIENCE_S) == 0
 
 
 def test_killed_and_started_again_nothing_acknowledged_is_lost(site: Site) -> None:
@@ -165,7 +166,7 @@ def test_killed_and_started_again_nothing_acknowledged_is_lost(site: Site) -> No
     for _ in range(2):
         site.told(r"^STATUS=slot .* done")
     process.kill()
-    process.wait(30)
+    process.wait(PATIENCE_S)
     acknowledged = site.acknowledged(site.log.read_text())
     assert len(acknowledged) >= 2
 
@@ -191,7 +192,7 @@ def test_the_boot_that_systemd_names_tells_a_cut_from_a_crash(
     process = site.start()
     site.told(r"^STATUS=slot .* done")
     process.kill()
-    process.wait(30)
+    process.wait(PATIENCE_S)
     monkeypatch.setenv(BOOT_ID_VARIABLE, second_boot)
     site.configure("[simulation]\nclock_start_utc = 2028-03-01T00:00:30Z\n")
 

@@ -16,6 +16,7 @@ from daemon.store.database import open_store
 from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
 from drivers.sim.settings import SimSettings
 from tests.laboratory import laboratory
+from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).parents[3]
 SITE = (
@@ -39,7 +40,7 @@ def call(program: str, directory: Path, *arguments: str) -> str:
         | {"DCAM_CONFIG": str(directory / "dcam.toml"), "DCAM_STATE": str(directory / "state")},
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert result.returncode == 0, result.stderr

@@ -13,6 +13,7 @@ import pytest
 
 from daemon.control.run_state import read_run_state
 from tests.daemon.slots.test_dcamd import MARCH, REAL_TIME, ROOT, Site
+from tests.waiting import PATIENCE_S
 
 HANGS_AT_ITS_SECOND_SLOT = """
 import sys, threading
@@ -56,7 +57,7 @@ def heard(site: Site, process: subprocess.Popen) -> list[str]:
     said = []
     while not said or said[-1] != "STOPPING=1":
         said.append(site.manager.recv(1000).decode())
-    assert process.wait(60) == 0
+    assert process.wait(PATIENCE_S) == 0
     return said
 
 
@@ -103,11 +104,11 @@ def test_a_slot_that_hangs_feeds_nothing_and_its_pair_is_measured_after_the_abor
         with pytest.raises(TimeoutError):
             site.manager.recv(1000)
         process.send_signal(signal.SIGABRT)  # as systemd does it
-        assert process.wait(30) == -signal.SIGABRT
+        assert process.wait(PATIENCE_S) == -signal.SIGABRT
     assert re.search(
         r"Fatal Python error: Aborted.*measure_or_hang", site.log.read_text(), re.DOTALL
     )
-    site.manager.settimeout(60)
+    site.manager.settimeout(PATIENCE_S)
     said = heard(site, site.start("--max-slots", "1"))
     late = said.index("STATUS=slot 2026-03-01T00:01:00Z measured late")
     assert said[late + 1] == "WATCHDOG=1"
@@ -122,7 +123,7 @@ def test_a_library_that_hangs_at_the_end_cannot_keep_the_process(site: Site) -> 
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert ran.returncode == 1
@@ -137,7 +138,7 @@ def status(site: Site) -> dict:
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
     )
     return json.loads(ran.stdout)
@@ -157,7 +158,7 @@ def test_status_tells_what_dcamd_says_until_it_is_killed(site: Site) -> None:
     assert texts["cameras"].startswith("sub lost since slot ")
     assert "in a row without a row (camera_lost: sub camera" in texts["supervision"]
     process.kill()
-    process.wait(30)
+    process.wait(PATIENCE_S)
     found = status(site)
     assert found["daemon"]["says"] is None
     (text,) = (item["text"] for item in found["items"] if item["name"] == "daemon")

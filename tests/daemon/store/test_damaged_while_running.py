@@ -16,6 +16,7 @@ from daemon.store.records import GapCause
 from daemon.store.salvage.damage_note import databases_set_aside
 from tests.daemon.slots.test_dcamd import MARCH, REAL_TIME, ROOT, Site, unaccounted
 from tests.daemon.store.examples import calibration
+from tests.waiting import PATIENCE_S
 
 CTL = [sys.executable, "-m", "daemon.ctl"]
 
@@ -95,7 +96,7 @@ def test_damage_met_while_it_runs_ends_dcamd_and_the_next_start_saves_the_rest(s
         "UPDATE calibration SET content = replace(content, '1023', '1024')",
     )
 
-    assert process.wait(60) == 5
+    assert process.wait(PATIENCE_S) == 5
 
     log = site.log.read_text()
     (told,) = [line for line in log.splitlines() if line.startswith("dcamd: error: ")]
@@ -129,7 +130,7 @@ def test_a_database_that_loses_its_name_while_it_is_open_loses_no_row(site: Site
     if how == "replaced":
         shutil.copy(site.state.parent / "other.db", database)
 
-    assert process.wait(60) == 5
+    assert process.wait(PATIENCE_S) == 5
 
     log = site.log.read_text()
     (said,) = [line for line in log.splitlines() if line.startswith("dcamd: error: ")]

@@ -28,6 +28,7 @@ from tests.daemon.store.examples import (
     record,
     slot,
 )
+from tests.waiting import PATIENCE_S
 
 AGREED = (
     "slot_utc,flag,reasons,x_mm,y_mm,sigma_x_mm,sigma_y_mm,raw_x_mm,raw_y_mm,"
@@ -143,6 +144,6 @@ def test_a_pipe_is_written_to_and_stays_a_pipe(tmp_path: Path) -> None:
     reader.start()
     with opened_table(pipe) as output:
         write_results([], output)
-    reader.join(timeout=10.0)
+    reader.join(timeout=PATIENCE_S)
     assert received == [AGREED + "\n"]
     assert pipe.is_fifo()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,8 +12,6 @@ from drivers.sim.head_machine import Faults, FaultyHead, HeadMachine
 from drivers.sim.head_server import HeadServer
 
 STEP_S = 0.005
-PATIENCE_S = 20.0
-"""How long to wait for what happens at once; a loaded machine may be slow."""
 SETTINGS = HeadSettings(answer_timeout_s=0.3, move_timeout_s=30.0)
 
 
@@ -155,10 +152,3 @@ class PortBench:
             replug=self.plug,
             unplug=self.unplug,
         )
-
-
-def wait_for(condition: Callable[[], bool], what: str) -> None:
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline_s, f"waited in vain: {what}"
-        time.sleep(STEP_S)

@@ -26,8 +26,8 @@ from drivers.sim.head_angles import AnglesAsker
 from drivers.sim.settings import SimSettings
 from drivers.sim.world import World
 from tests.daemon.commands.conftest import SIMULATED
-from tests.drivers.heads.lines import PATIENCE_S, wait_for
 from tests.drivers.sim.rigs import site
+from tests.waiting import PATIENCE_S, wait_for
 
 ROOT = Path(__file__).parents[3]
 

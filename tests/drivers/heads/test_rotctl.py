@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from drivers.sim.head_angles import AnglesAsker
-from tests.drivers.heads.lines import PATIENCE_S, wait_for
 from tests.drivers.heads.test_head_programs import simulated_head
+from tests.waiting import PATIENCE_S, wait_for
 
 MODEL = "2501"
 ARCSEC = 185.14

@@ -1,4 +1,4 @@
-"""A daemon that is struck at one system call of its slots, by strace; again and again.
+"""A daemon that is interrupted at one system call of its slots, by strace; again and again.
 
 A program: it reads lines of `NAME INJECTION` (as strace's `inject=`; `-` only counts) and answers
 each with a line of JSON. For each it forks: the child runs the daemon in ROOT/NAME, its first slot
@@ -62,7 +62,7 @@ def live(state: Path, shared: mmap.mmap, ready: int, go: int) -> None:
         with daemon(state, START, "boot-1") as (station, runner):
             runner.run(1)
             os.write(ready, b"1")
-            select.select([go], [], [])  # no call that is struck
+            select.select([go], [], [])  # no call that is interrupted
             assert runner.run(len(SLOTS) - 1) == len(SLOTS) - 1
             with suppress(StoreError):  # a stop that cannot be noted is a crash to the next start
                 mark_stop(station.store, station.clock.now_utc())
@@ -81,8 +81,8 @@ def rehearse(root: Path) -> None:
     os.close(writer)
 
 
-def strike(directory: Path, injection: str) -> dict[str, object]:
-    """Let a daemon live, be struck, and tell how it ended."""
+def run(directory: Path, injection: str) -> dict[str, object]:
+    """Let a daemon live, be interrupted, and tell how it ended."""
     shutil.copytree(directory.with_name(TEMPLATE), directory / "state")
     shared = mmap.mmap(-1, len(SLOTS))
     (was_ready, ready), (go, let_go) = os.pipe(), os.pipe()
@@ -121,7 +121,7 @@ def main() -> None:
     rehearse(root)
     for line in sys.stdin:
         name, injection = line.split()
-        sys.stdout.write(json.dumps(strike(root / name, injection)) + "\n")
+        sys.stdout.write(json.dumps(run(root / name, injection)) + "\n")
         sys.stdout.flush()
 
 
