@@ -33,7 +33,6 @@ from tests.drivers.genicam.gige.bench import (
 )
 from tests.drivers.genicam.gige.loopback import ADDRESSES
 from tests.drivers.genicam.gige.process import REPOSITORY, CameraProcess
-from tests.waiting import PATIENCE_S, wait_for
 
 MAIN, SUB = "15290000", "15290001"
 
@@ -160,25 +159,20 @@ def test_a_library_that_hangs_costs_the_deadline_and_leaves_a_bounded_number_of_
     process: CameraProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     let_go = threading.Event()
-    monkeypatch.setattr(
-        "drivers.genicam.aravis_device.load_aravis", lambda: let_go.wait(PATIENCE_S)
-    )
+    monkeypatch.setattr("drivers.genicam.aravis_device.load_aravis", lambda: let_go.wait(60.0))
     camera = AravisCamera(MAIN, CameraSettings(WIDTH_PX, HEIGHT_PX, open_timeout_s=0.05))
     for _ in range(10):
         with pytest.raises(DeviceLostError):
             camera.open()
-    assert _threads_of_cameras() <= 5
+    assert sum(thread.alive for thread in camera._left_behind) <= 5
     with pytest.raises(DeviceLostError, match="calls into Aravis hang; restart"):
         camera.open()
     let_go.set()
-    wait_for(lambda: _threads_of_cameras() == 0, "the end of the camera's threads")
+    for thread in camera._left_behind:
+        thread.end(5.0)
 
 
 # --- long runs
-
-
-def _threads_of_cameras() -> int:
-    return sum(thread.name.startswith("aravis-") for thread in threading.enumerate())
 
 
 def _handles() -> tuple[int, int]:
@@ -188,12 +182,9 @@ def _handles() -> tuple[int, int]:
 
 
 def _assert_flat(handles: list[tuple[int, int]]) -> None:
-    """None more than after the second time; the kernel counts ended threads a moment longer."""
-    files, threads = handles[1]
-    wait_for(
-        lambda: _handles()[0] <= files and _handles()[1] <= threads,
-        f"the end of threads and the close of files: {handles}, now {_handles()}",
-    )
+    """One more is a thread that has just ended and that the kernel still counts."""
+    for first, last in zip(handles[1], handles[-1], strict=True):
+        assert last <= first + 1, handles
 
 
 def _reconnect(
@@ -243,7 +234,8 @@ def test_losses_leave_no_handle_and_no_thread(process: CameraProcess) -> None:
         camera._opened.session._device._device.emit("control-lost")  # type: ignore[union-attr]
         with pytest.raises(DeviceLostError):
             camera.arm()
-        wait_for(lambda: _threads_of_cameras() == 0, "the release of the lost camera")
+        for thread in camera._left_behind:
+            thread.end(10.0)
         handles.append(_handles())
     _assert_flat(handles)
 

@@ -66,7 +66,7 @@ def pelco(tmp_path: Path) -> Iterator[Bench]:
 @pytest.fixture
 def timed(tmp_path: Path) -> Iterator[Bench]:
     """Slow enough that a stop which a busy machine sends 0.3 s late is within its tolerance."""
-    model = PelcoModel(feedback=False, accel_deg_s2=1e4)
+    model = PelcoModel(feedback=False, accel_deg_s2=1e4, speed_deg_s=TIMED_DEG_S)
     port = PortBench(lambda: PelcoMachine(model), tmp_path / "head", speed_factor=1.0)
     settings = replace(SETTINGS, speed_deg_s=TIMED_DEG_S)
     line = SerialLine(str(tmp_path / "head"), 2400)
