@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.discs.disc_kernels import shrink_image
@@ -17,6 +20,15 @@ _MIN_OUTLINE_PIXELS = 9
 _LOCAL_REACH_PX = 24.0
 _LOCAL_FLOOR_DN = 3.0
 _NOISE_DN = 2.0
+_LEAST_CONTOURS, _PIXELS_A_CONTOUR = 500, 4000
+"""So many contours are examined at a level, and one more for so many pixels. Chosen: an image of a
+site has a tenth of that, and one contour takes as long as some thousand pixels of the rest."""
+_BUSY_SHARE = 0.05
+"""Of the pixels: with more edges along the rows the small components are dropped first. Noise has
+half of them, a grid of 12 px a sixth, the images of a site less than a fiftieth."""
+_MOST_REGIONS = 3000
+"""Round regions of all levels, the sharpest, among which concentric ones are sought; that takes the
+square of their number. A plate has 14 a disc at most."""
 _TURNS = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
 
 
@@ -104,10 +116,14 @@ def _round_regions(
 ) -> list[tuple[float, ...]]:
     """(x, y, a, b, angle_deg, sharpness) of the round regions above a level."""
     mask = (graded > np.float32(level)).view(np.uint8)
-    contours, hierarchy = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     height, width = graded.shape
+    most = _LEAST_CONTOURS + height * width // _PIXELS_A_CONTOUR
+    if np.count_nonzero(mask[:, 1:] ^ mask[:, :-1]) > _BUSY_SHARE * mask.size:
+        mask = _largest(mask, most)
+    contours, hierarchy = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     regions: list[tuple[float, ...]] = []
-    for k, contour in enumerate(contours):
+    for k in _longest(contours, most):
+        contour = contours[k]
         count = len(contour)
         if count < _MIN_OUTLINE_PIXELS or count > 2 * (width + height):
             continue
@@ -130,6 +146,33 @@ def _round_regions(
     return regions
 
 
+def _largest(mask: NDArray[np.uint8], most: int) -> NDArray[np.uint8]:
+    """The mask with its largest disc-like components alone, at most so many.
+
+    What fills its box by far too little or is far too wide has no outline worth its cost.
+    """
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    _, _, w, h, area = stats.T
+    fills = area / (0.25 * np.pi * w * h)
+    plausible = (fills > 0.25) & (np.maximum(w, h) <= 0.5 * mask.shape[1])
+    plausible[0] = False  # what is below the level
+    largest = np.argsort(np.where(plausible, -area, 0), kind="stable")[:most]
+    kept = np.zeros(count, dtype=np.uint8)
+    kept[largest] = plausible[largest]
+    return np.asarray(kept[labels])
+
+
+def _longest(contours: Sequence[NDArray[Any]], most: int) -> IntArray:
+    """Which contours are examined: all, or of very many the longest, in their order.
+
+    Noise, foliage and fine grids have a hundred thousand of them at each level, mostly specks.
+    """
+    if len(contours) <= most:
+        return np.arange(len(contours))
+    lengths = np.fromiter(map(len, contours), dtype=np.int64, count=len(contours))
+    return np.sort(np.argsort(-lengths, kind="stable")[:most])
+
+
 def _fills_ellipse(edge: IntArray, cx: float, cy: float, a: float, b: float, angle: float) -> bool:
     """Whether most of the contour lies on the ellipse."""
     c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
@@ -140,7 +183,8 @@ def _fills_ellipse(edge: IntArray, cx: float, cy: float, a: float, b: float, ang
 
 def _best_of_concentric(found: list[tuple[float, ...]]) -> FloatArray:
     """(k, 5) x, y, a, b, angle_deg: the sharpest of the regions that share a centre."""
-    regions = np.array(sorted(found, key=lambda region: -region[5])).reshape(-1, 6)
+    sharpest = sorted(found, key=lambda region: -region[5])[:_MOST_REGIONS]
+    regions = np.array(sharpest).reshape(-1, 6)
     left = np.ones(len(regions), dtype=bool)
     kept = []
     for k, region in enumerate(regions):
