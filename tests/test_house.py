@@ -214,11 +214,7 @@ def has_number(value: ast.expr | None) -> bool:
     )
 
 
-@pytest.mark.parametrize(
-    "path",
-    [path for path in python_files("core") if path.parent.name != "discs"],
-    ids=lambda path: path.name,
-)
+@pytest.mark.parametrize("path", python_files("core"), ids=lambda path: path.name)
 def test_every_constant_of_core_says_what_it_means(path: Path) -> None:
     """A threshold, floor or factor without unit and origin can be neither trusted nor changed."""
     assert undocumented_constants(path.read_text()) == []

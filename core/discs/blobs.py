@@ -15,10 +15,22 @@ from core.discs.disc_kernels import shrink_image
 from core.images import PixelArray
 
 FEW_LEVELS, MANY_LEVELS = 5, 14
+"""Thresholds from 8 to 92 % of the grey values' range: steps of 21 and of 6.5 % of it. At least
+one lies between a disc and its surroundings if they differ by 21, or by 8 %, of that range."""
 _MIN_RADIUS_PX = 2.5
+"""Least half axis, px of the image searched. Chosen: a smaller spot is too coarse to have an
+outline; a disc of 6 px in diameter is larger."""
 _MIN_OUTLINE_PIXELS = 9
+"""Pixels of a contour. Chosen: skips specks before an ellipse is fitted; a disc of the least radius
+has 11 or more."""
 _LOCAL_REACH_PX = 24.0
+"""Sigma of the surroundings' weight, px of the image searched. Chosen: about ten least radii;
+the grey values themselves are searched as well."""
 _LOCAL_FLOOR_DN = 3.0
+"""Added to the surroundings' spread. Chosen: above the usual noise of 8-bit images, so that noise
+in an even part of the image does not look like contrast."""
+# Added to how much the grey values vary along an edge. Chosen: about the noise of an 8-bit
+# image, so that an edge without any variation is not infinitely even.
 _NOISE_DN = 2.0
 _LEAST_CONTOURS, _PIXELS_A_CONTOUR = 500, 4000
 """So many contours are examined at a level, and one more for so many pixels. Chosen: an image of a
@@ -30,6 +42,8 @@ _MOST_REGIONS = 3000
 """Round regions of all levels, the sharpest, among which concentric ones are sought; that takes the
 square of their number. A plate has 14 a disc at most."""
 _TURNS = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
+"""Directions, rad, in which an edge's two sides are compared. Chosen: two for each pixel of
+the smallest outline."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +79,7 @@ class Blobs:
 
 
 NO_BLOBS = Blobs(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0))
+"""Of an image without any."""
 
 
 def find_blobs(

@@ -24,10 +24,20 @@ from core.site import CirclesTarget
 __all__ = ["MIN_DISCS", "Discs", "find_discs"]
 
 _MAX_ROLL_DEG = 50.0
+"""How far the camera may be rolled. Chosen: it is mounted upright to some degrees, and beyond 90
+degrees an X of discs would be named upside down."""
 _MIN_CLEAN = 0.5
+"""Least explained fraction of a disc that is used. Chosen: half an outline still determines an
+ellipse, and a row is flagged below 0.95."""
 _MOST_CANDIDATES = 60
+"""Spots that may be discs, the clearest. Chosen as a bound on the work, which grows with its
+square; a target has a few."""
 _QUICK_RADIUS_PX, _SEARCH_RADIUS_PX = 9.0, 7.0
+"""Radius, px, to which the smallest disc may be shrunk: at the scale expected, then at the smallest
+scale allowed. At that scale the quick look still leaves it 4.5 px, and a spot needs 2.5."""
 _LARGE_PX = 1000
+"""Longer side above which an image is halved where no scale is expected. Chosen for speed: a
+disc then needs a radius of 5 px."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +68,16 @@ def find_discs(
     factor of two); expected_px (n, 2), NaN where unknown, are the discs' predicted places,
     which decide between layouts that look alike. The camera is upright to within 50 degrees.
     The points are the middles of the outlines. Raises TargetNotFoundError.
+
+    >>> import cv2
+    >>> centres_mm = np.array([[-15.0, 11.0], [15.0, 11.0], [0.0, 0.0], [-15.0, -11.0]])
+    >>> target = CirclesTarget(centres_mm, np.full(4, 8.0), 11000.0, distance_sigma_mm=20.0)
+    >>> plate = np.full((240, 320), 20, np.uint8)
+    >>> for x, y in centres_mm:
+    ...     plate = cv2.circle(plate, (int(160 + 6 * x), int(120 - 6 * y)), 24, 200, -1)
+    >>> seen = find_discs(GreyImage(cv2.GaussianBlur(plate, (0, 0), 1.0)), target, 6.0)
+    >>> seen.points_px.round(1).tolist()
+    [[70.0, 54.0], [250.0, 54.0], [160.0, 120.0], [70.0, 186.0]]
     """
     layout = Layout(target.centres_mm * np.array([1.0, -1.0]), target.diameters_mm / 2.0)
     expected = Expectation(

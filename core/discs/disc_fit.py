@@ -11,12 +11,14 @@ from core.discs.disc_kernels import DISC_PARAMETERS, Pixels, fit_discs
 from core.grey_fit import covariances, residual_noise
 
 _NARROW_PX, _NARROW_BLURS = 2.0, 3.0
-"""Beyond 2 px plus 3 blur widths erf is flat: a pixel tells no more than the grey on its side."""
+"""Half the width of the last ring, px. Beyond 2 px plus 3 blur widths erf is flat: a pixel there
+shows only the grey value of its side."""
 _COARSE_SHARE, _COARSE_PX = 0.35, (3.0, 8.0)
 """Half the width of the first ring, as a share of the radius and within these bounds: chosen by
 hand, so that an outline known to 15 % lies in it."""
 _LARGE_SHARE = 0.2
-"""A large disc was found in an image of a fraction of the size, its outline as roughly."""
+"""The same as a share of the radius from 40 px on, without a bound. Chosen: a large disc was found
+in an image of a fraction of the size, its outline as roughly; 15 % still lies in it."""
 _COARSE_PIXELS = 600
 """Pixels that the first fit takes of each ring, for speed: chosen by hand, 50 to a parameter."""
 _START_BLUR_PX, _START_BLUR_SHARE = 1.0, 0.3
@@ -34,9 +36,11 @@ Chosen to be half the 0.001 px to which starts shall agree.
 _LEAST_NOISE_DN = 0.3
 """Rounding to whole values alone: sqrt(1 / 12)."""
 _BLUR = 11
+"""Index of the blur among the parameters."""
 _GEOMETRY = np.array([0, 1, 2, 3, 4, _BLUR])
 """The parameters in px: place, outline, blur."""
 _TURNS = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+"""Directions, rad, in which the first grey levels are read. Chosen: enough for a median."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +71,13 @@ def locate_discs(
     pixels of a ring that the blur makes as narrow as it may be, and less weight for those that
     the model does not explain. Ring and noise of the last fit come from the fit before it, so that
     neither the result nor its weights depend on the points and outlines given.
+
+    >>> v, u = np.mgrid[:60, :80]
+    >>> grey = 30.0 + 180.0 * np.clip(16.5 - np.hypot(u - 40.3, v - 28.7), 0.0, 1.0)
+    >>> start = np.array([[39.5, 29.5]]), 15.0 * np.eye(2)[None]
+    >>> fits = locate_discs(grey.round().astype(np.uint8), 255.0, *start)
+    >>> fits.points_px.round(1).tolist(), fits.contrast_dn.round(-1).tolist()
+    ([[40.3, 28.7]], [180.0])
     """
     pixels = np.ascontiguousarray(pixels)
     points = np.ascontiguousarray(points_px, dtype=float)

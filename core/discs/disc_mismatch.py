@@ -13,11 +13,18 @@ from core.images import GreyImage
 from core.site import CirclesTarget
 
 _MOST_CANDIDATES = 60
+"""Spots that may be discs, the clearest: as many as when discs are found."""
 _LARGE_PX = 1000
+"""Longer side above which an image is halved. Chosen for speed, as when discs are found."""
 _UPRIGHT_DEG, _UPSIDE_DOWN_DEG = 50.0, 130.0
+"""Roll of a camera that is still upright, as when discs are found, and of one upside down, 180 - 50
+degrees. In between it lies on its side."""
 _OTHER_DIAMETERS = (1.0, 1.4, 0.7, 2.0, 0.5, 2.8, 0.35)
-"""In units of the configured one; each is right to 25 %."""
+"""In units of the configured one, tried in this order. The layout accepts 25 % about each, and
+at steps of about sqrt 2 any from 0.35 to 2.8 is within 20 % of the nearest."""
 _ALIKE = 0.2
+"""Natural logarithm of the ratio of radii, and of contrasts, within which spots are alike. Chosen;
+it decides only what a message says."""
 
 
 class DiscMismatch(Enum):
@@ -53,7 +60,17 @@ class SeenDiscs:
 def explain_discs(image: GreyImage, target: CirclesTarget) -> SeenDiscs | None:
     """Say how the discs in an image differ from the configured ones; None where there are none.
 
-    All discs must be seen to be known again.
+    All discs must be seen to be recognised.
+
+    >>> import cv2
+    >>> centres_mm = np.array([[-15.0, 11.0], [15.0, 11.0], [0.0, 0.0], [-15.0, -11.0]])
+    >>> plate = np.full((240, 320), 20, np.uint8)
+    >>> for x, y in centres_mm:  # left and right exchanged
+    ...     plate = cv2.circle(plate, (int(160 - 6 * x), int(120 - 6 * y)), 24, 200, -1)
+    >>> image = GreyImage(cv2.GaussianBlur(plate, (0, 0), 1.0))
+    >>> target = CirclesTarget(centres_mm, np.full(4, 8.0), 11000.0, distance_sigma_mm=20.0)
+    >>> explain_discs(image, target).mismatch.name
+    'MIRRORED'
     """
     shrink = 2 if max(image.pixels.shape) > _LARGE_PX else 1
     blobs = find_blobs(image.pixels, shrink, MANY_LEVELS).clearest(_MOST_CANDIDATES)

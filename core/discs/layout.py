@@ -1,4 +1,4 @@
-"""Discs told apart by their layout, among all round bright spots of an image.
+"""Discs identified by their layout among all round bright spots of an image.
 
 A disc's outline shows how the plate is squeezed there, up to a turn; two of them and the line
 between them give the turn and the shift. Every pair of spots is tried as every pair of discs,
@@ -17,21 +17,55 @@ from core.discs.blobs import Blobs
 from core.geometry.homography import fit_homography, perspective, project, slopes
 
 MIN_DISCS = 3
+"""The affine map of a plane has six unknowns, and each disc gives two coordinates."""
 SCALE_TOLERANCE = 2.0
+"""Factor, either way, between the scale seen and the scale expected. Chosen: focal length and
+distance are known far better, and a target 2.5 times off must be refused (a test)."""
 _LENGTH_TOLERANCE, _SLOPE_TOLERANCE = 0.25, 0.35
-_BLOB_SIGMA_PX = 0.35  # of a spot's place, and of its radius
+"""Of a pair of spots: natural logarithm of its length, by its outlines, over the length drawn; and
+the largest difference between its two outlines, relative to their mean. Chosen: 0.25 is a factor
+of 1.28, and diameters stated 22 % wrong must do (a test); 0.35 leaves room for perspective."""
+_BLOB_SIGMA_PX = 0.35
+"""Of a spot's place, and of its radius, px. Chosen: a little more than the sqrt(1 / 12) = 0.29 px
+of rounding to whole pixels."""
 _PLACE_SHARE, _SPACING_SHARE = 0.2, 0.4
+"""How far a spot may be from where two others predict it: share of the target's size, and of the
+smallest spacing. Below half of the spacing a spot belongs to one disc only; 0.2 is chosen: an
+affine map from two discs does not know the perspective."""
 _SLACK, _CONTRAST_RANGE = 1.6, 1.6
+"""Of the quick choice of pairs: factor on distances and radii, and natural logarithm of the ratio
+of contrasts, a factor of five. Chosen: the two tolerances above allow factors of 1.28 and about
+1.2 on a distance, together less than 1.6."""
 _MOST_PAIRS, _MOST_REFINED = 3000, 60
-_PLACE_SIGMA = 0.01  # of the target's size
+"""Bounds on the work: pairs tried, the best by length, and namings refined, the most complete.
+Chosen: any of the plate's own pairs, ten of five discs, can lead to the right naming."""
+_PLACE_SIGMA = 0.01
+"""Of a disc's place, as a share of the target's size: how well the plate is drawn and the lens free
+of distortion. Chosen; 3 px for a target of 300 px."""
 _OUTLINE_SIGMA = 0.07
+"""Of the natural logarithm of an outline's half axes over those expected. Chosen: 7 %,
+to which _BLOB_SIGMA_PX over the radius is added."""
 _CONTRAST_SIGMA = 0.6
+"""Of the natural logarithm of a disc's contrast over the target's median. Chosen: a factor of 1.8,
+as uneven light is usual and contrast shall decide only where places and outlines do not."""
 _PERSPECTIVE_SIGMA = 0.2
+"""Of the change of depth over the target, relative to its mean. Chosen: a target tilted by 60
+degrees reaches that from a distance of four times its size, and a bridge's is far beyond."""
 _WORST = 25.0
+"""Cost from which a spot is not this disc: five sigma in one of place and outline."""
 _MISSING = 15.0
+"""Cost of a disc without a spot. Chosen between the 5 that a spot with errors of one sigma costs on
+average (place and outline 2 each, contrast 1) and _WORST."""
 _ALIKE = 10.0
+"""Difference in cost below which two namings are taken to be as good. Costs are sums of squares of
+errors over sigma, so that at 10 the better naming is exp(10 / 2) = 150 times as likely."""
 _SAME_SHARE = 0.1
+"""Share of the target's size within which two places are the same when a layout is turned onto
+itself. Chosen: ten times _PLACE_SIGMA."""
 _TURN_MARGIN_DEG = 5.0
+"""How far the turn of one pair may exceed the limit, which the refined naming has to keep; and by
+how much more than the best the next naming has to be turned. Chosen: outlines that are 7 % off in
+one axis turn a pair by up to 2 degrees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +126,15 @@ class DiscAssignment:
 
 
 def identify_discs(blobs: Blobs, layout: Layout, expected: Expectation) -> DiscAssignment | None:
-    """Give the naming that explains the image best; None if none does."""
+    """Give the naming that explains the image best; None if none does.
+
+    >>> layout = Layout(np.array([[0.0, 0.0], [30.0, 0.0], [0.0, 20.0]]), np.full(3, 4.0))
+    >>> seen_px = 50.0 + 6.0 * layout.places_mm[[2, 0, 1]]  # 6 px/mm, in another order
+    >>> blobs = Blobs(seen_px, np.tile(24.0 * np.eye(2), (3, 1, 1)), np.full(3, 90.0), np.ones(3))
+    >>> named = identify_discs(blobs, layout, Expectation(px_per_mm=6.0))
+    >>> named.discs.tolist(), named.spots.tolist(), named.unambiguous
+    ([0, 1, 2], [1, 2, 0], True)
+    """
     rivals: list[DiscAssignment] = []
     for spots, slope in _guesses(blobs, layout, expected):
         if rivals and (spots >= 0).sum() < len(rivals[0].discs) - 1:

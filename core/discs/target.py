@@ -17,13 +17,28 @@ from core.geometry.homography import circle_outlines, outline_offset, refine_on_
 from core.images import GreyImage, PixelArray
 
 _MOST_CANDIDATES = 150
+"""Spots that may be discs, the clearest. Chosen as a bound on the work, which grows with its
+square; more than where the scale is known, as spots of any size count."""
 _SEARCH_SIZE_PX = 1000
+"""Longer side to which an image is shrunk at first; smaller discs are sought later. For speed."""
 _POINT_SIGMA_PX = 0.05
+"""Of a fitted disc's place when the homography is refined. Chosen: well above its noise, some
+thousandths of a px, as lens and plate are not ideal."""
 _PLACE_SHARE, _PLACE_PX = 0.01, 0.5
+"""How far a fitted disc may be from where the others put it: this share of the target's size in the
+image plus so many px. Chosen: the sigma of places in the layout, and half a pixel for small
+targets."""
 _OUTLINE_SHARE, _OUTLINE_PX = 0.12, 0.5
+"""How far an outline may be from the one expected: this share of its radius plus so many px plus
+the blur. Chosen: wider than the sigma of 7 % in the layout."""
 _OTHER_SIZE = 1.3
+"""Largest factor, either way, between diameters seen and stated. Chosen: what the layout accepts
+when it names them, exp(0.25) = 1.28, rounded up."""
 _ROUNDS = 3
+"""Of homography and choice of discs. Chosen: each may drop discs that were in the fit before."""
 _MOST_CHANGE = 0.4
+"""By how much of its radius a fit may move a spot or change its outline; else the spot remains as
+it was. Chosen: below half a radius it is still the same spot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +87,15 @@ def find_target(
 
     Raises TargetNotFoundError if the plate is not seen or its discs cannot be told apart for
     certain, ImageError if the array is no greyscale image, ValueError for a layout that is none.
+
+    >>> import cv2
+    >>> centres_mm = np.array([[-15, 11], [15, 11], [0, 0], [-15, -11], [15, -11]])
+    >>> plate = np.full((240, 320), 20, np.uint8)
+    >>> for x, y in centres_mm:
+    ...     plate = cv2.circle(plate, (int(160 + 6 * x), int(120 - 6 * y)), 24, 200, -1)
+    >>> seen = find_target(cv2.GaussianBlur(plate, (0, 0), 1.0), centres_mm, 8.0)
+    >>> seen.points_px[:2].round(1).tolist(), seen.found.tolist()
+    ([[70.0, 54.0], [250.0, 54.0]], [True, True, True, True, True])
     """
     grey = _as_grey(image)
     layout = _as_layout(centres_mm, diameter_mm)
