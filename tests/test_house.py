@@ -3,6 +3,7 @@
 import ast
 import io
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -169,6 +170,13 @@ def test_wheel_gives_both_programs(wheel: zipfile.ZipFile) -> None:
     text = wheel.read(entry_points).decode()
     assert "dcamd = daemon.main:main" in text
     assert "dcam-ctl = daemon.ctl:main" in text
+
+
+def test_the_picture_of_the_architecture_is_that_of_the_code() -> None:
+    """`make picture` draws it; rooms, their order or their purpose have changed since."""
+    drawing = runpy.run_path(str(ROOT / "docs/draw_architecture.py"))
+    today = drawing["fingerprint"](drawing["picture_source"]())
+    assert today in drawing["PICTURE"].read_text(), "run make picture"
 
 
 @pytest.mark.parametrize("word", [*Reason, *GapCause])
