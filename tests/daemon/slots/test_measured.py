@@ -97,6 +97,8 @@ def test_frames_on_the_disk_are_those_that_were_replayed(site: Path) -> None:
 
 def test_row_that_a_crash_took_is_measured_late_to_the_same_value(site: Path) -> None:
     with sqlite3.connect(site / "state" / "dcam.db") as database:
+        query = "SELECT x_mm, y_mm FROM measurement ORDER BY id DESC LIMIT 1"
+        measured_mm = list(database.execute(query).fetchone())
         database.execute("DELETE FROM measurement WHERE id = (SELECT max(id) FROM measurement)")
     database.close()
     lost = table(site / "rows.csv")[-1]
@@ -106,6 +108,6 @@ def test_row_that_a_crash_took_is_measured_late_to_the_same_value(site: Path) ->
     with open_store(site / "state") as store:
         row = store.measurement(datetime.fromisoformat(lost["slot_utc"]))
     assert row.recorded_late
-    assert row.measurement.corrected.mm.tolist() == [float(lost["x_mm"]), float(lost["y_mm"])]
+    assert row.measurement.corrected.mm.tolist() == measured_mm
     assert row.captured_utc == datetime.fromisoformat(lost["captured_utc"])
     assert row.captured_utc.tzinfo == UTC
