@@ -150,7 +150,8 @@ def test_json_has_a_schema_and_the_same_names(reprocess, bench: Path) -> None:
     assert document["calibration"] == 1
     bursts = ["spread_x_mm", "spread_y_mm", "frames_used"]
     assert list(document["rows"][0]) == [*COLUMNS.split(","), *bursts]
-    assert [repr(row["x_mm"]) for row in document["rows"]] == [row["x_mm"] for row in rows]
+    given, written = ([row["x_mm"] for row in table] for table in (document["rows"], rows))
+    assert [float(x_mm) for x_mm in written] == pytest.approx(given, rel=0, abs=0.51e-6)
 
 
 def test_nothing_is_written_to_the_database(reprocess, bench: Path, calibrated: Path) -> None:
