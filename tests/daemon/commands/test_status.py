@@ -396,5 +396,5 @@ def test_status_loads_no_numerics_no_orm_and_no_logger(site: Site) -> None:
             check=False,
         )
     assert ran.returncode == 0, ran.stdout
-    slow = {"scipy", "cv2", "numba", "sqlalchemy", "alembic", "apscheduler", "structlog", "rich"}
+    slow = {"scipy", "cv2", "numba", "sqlalchemy", "alembic", "apscheduler", "structlog"}
     assert slow.isdisjoint(ran.stderr.split())

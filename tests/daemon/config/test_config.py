@@ -302,7 +302,7 @@ def test_file_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
     assert "not UTF-8" in problems_of(path)[0]
     path.unlink()
     path.mkdir()
-    assert "cannot be read" in problems_of(path)[0]
+    assert "it is a directory: name a file" in problems_of(path)[0]
 
 
 def test_a_byte_order_mark_is_no_part_of_the_config(write) -> None:
