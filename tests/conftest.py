@@ -1,6 +1,5 @@
 """For all tests: numerics with one thread, as in our programs. Loaded before anything of numpy."""
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,11 +14,6 @@ LONGEST_FIRST = (
     *("daemon/slots", "daemon/commands", "drivers/genicam", "daemon", "core"),
 )
 """Where tests take long; in this order, so that no process is left alone with them at the end."""
-
-
-def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Half as many processes again as cores: tests of programs wait for them half of the time."""
-    return 3 * (os.cpu_count() or 1) // 2
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
