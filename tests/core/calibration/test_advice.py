@@ -30,7 +30,7 @@ def test_a_sure_calibration_asks_for_nothing(field: Session) -> None:
     """Where another motion would not help, none is asked for."""
     calibrated = field.calibration.calibrated
     columns = calibrated.posterior.lens.shape[1]
-    posterior = calibrated.posterior.times(1e-4 * np.eye(columns))
+    posterior = calibrated.posterior.transformed(1e-4 * np.eye(columns))
     sure = replace(calibrated, posterior=replace(posterior, own_mm2=1e-8 * posterior.own_mm2))
     assert max(error.calibration_mm for error in drift_errors(sure, field.site)) < 2e-3
     assert suggest_motion(sure, field.site) is None
