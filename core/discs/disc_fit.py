@@ -33,6 +33,9 @@ _NEARLY_PX, _SETTLED_PX = 0.05, 0.0005
 
 Chosen to be half the 0.001 px to which starts shall agree.
 """
+_MODEL_SHARE = 5e-4
+"""Of the contrast: what the model of a sharp disc leaves of a drawn one without noise is half of it
+(2.5e-4, 16 bits). Real noise, also of a mean of eight images, is several times as much."""
 _LEAST_NOISE_DN = 0.3
 """Rounding to whole values alone: sqrt(1 / 12)."""
 _BLUR = 11
@@ -92,7 +95,7 @@ def locate_discs(
     every[:], limits[2] = 1, _SETTLED_PX
     ok = figures[:, 4] > 0
     for _ in range(_ROUNDS):
-        before, limits[1] = state.copy(), _least_noise_dn(figures, ok)
+        before, limits[1] = state.copy(), _least_noise_dn(state, figures, ok)
         reach = np.minimum(_wide_px(state), _NARROW_PX + _NARROW_BLURS * state[:, _BLUR])
         state[~ok, 2:5] = 0.0
         fit_discs(
@@ -101,7 +104,7 @@ def locate_discs(
         )  # fmt: skip
         ok = ok & (figures[:, 4] > 0)
         moved = np.abs(state - before)[ok][:, _GEOMETRY]
-        same_noise = abs(_least_noise_dn(figures, ok) - limits[1]) < _SAME_NOISE * limits[1]
+        same_noise = abs(_least_noise_dn(state, figures, ok) - limits[1]) < _SAME_NOISE * limits[1]
         if same_noise and (moved < _SETTLED_PX).all():
             break
     noise = residual_noise(figures, DISC_PARAMETERS)
@@ -117,10 +120,13 @@ def locate_discs(
     )
 
 
-def _least_noise_dn(figures: FloatArray, ok: BoolArray) -> float:
+def _least_noise_dn(state: FloatArray, figures: FloatArray, ok: BoolArray) -> float:
     """Noise of the quietest disc, DN: what something lies on must not call itself noisy."""
     noise = residual_noise(figures, DISC_PARAMETERS)
-    return max(float(np.min(noise[ok])) if ok.any() else 1.0, _LEAST_NOISE_DN)
+    if not ok.any():
+        return 1.0
+    model_dn = _MODEL_SHARE * float(np.median(np.abs(state[ok, 8])))
+    return max(float(np.min(noise[ok])), model_dn, _LEAST_NOISE_DN)
 
 
 def _wide_px(state: FloatArray) -> FloatArray:
