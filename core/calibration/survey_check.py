@@ -31,8 +31,10 @@ from core.images import GreyImage
 from core.rig.rigid import Rig
 from core.site import CameraGeometry, CheckerboardTarget, CirclesTarget, Site
 
-FAR_SIGMAS = 4.0
-"""Five quantities: by chance one of them is that far off at one site in 3000."""
+FAR_SIGMAS = 3.5
+"""Five quantities: by chance one of them is that far off at one site in 400, were errors normal."""
+_DOUBTFUL_SIGMAS = 2.5
+"""Worth a look: by chance at one site in 16."""
 _LENS_SIGMA = 0.025
 """Relative; makers engrave focal lengths to some per cent."""
 _DISC_SIGMA, _EDGE_SIGMA_PX = 0.015, 0.5
@@ -137,6 +139,12 @@ class Group:
         value, factor = self.values[key], math.exp(change)
         if key == _CENTRES:
             return f"{key} should likely all be {factor:.3g} times as large"
+        first = self.quantities[0]
+        if first.expected[0] < first.expected[1]:
+            ends = sorted(
+                value * (first.seen / end) ** first.follows[key] for end in first.expected
+            )
+            return f"{key} is likely {ends[0]:.3g} to {ends[1]:.3g}, not {value:.10g}"
         return f"{key} is likely about {float(f'{value * factor:.3g}'):.10g}, not {value:.10g}"
 
 
@@ -167,7 +175,13 @@ class SurveyCheck:
     @property
     def lines(self) -> list[str]:
         """What was compared, as sentences, and what is left to do by hand."""
-        return [*(quantity.sentence for quantity in self.quantities), self.by_hand]
+        doubtful = [
+            f"warning: {quantity.name}: {abs(quantity.sigmas):.1f} sigma off; {group.by_hand}"
+            for group in self.groups
+            for quantity in group.quantities
+            if _DOUBTFUL_SIGMAS <= abs(quantity.sigmas) < FAR_SIGMAS
+        ]
+        return [*(quantity.sentence for quantity in self.quantities), *doubtful, self.by_hand]
 
 
 def check_survey(fit: Fit, site: Site, reference_main: GreyImage) -> SurveyCheck:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from core.calibration.calibrate import calibrate
-from core.calibration.survey_check import Group, Quantity
+from core.calibration.survey_check import Group, Quantity, SurveyCheck
 from tests.core.sessions import Session
 
 
@@ -48,6 +48,15 @@ def test_a_focused_lens_is_longer_than_engraved() -> None:
     lens = Quantity("f", "px", (1024.0, 1163.0), 1160.0, 0.025, {"f": 1})
     assert lens.sigmas == 0.0
     assert replace(lens, seen=1400.0).sigmas == pytest.approx(7.42, abs=0.01)
+    problem = Group((replace(lens, seen=1400.0),), {"f": 6.0, "p": 5.86}, "read it").problem
+    assert problem is not None
+    assert problem.startswith("f is likely 7.22 to 8.2, not 6:")
+
+
+def test_what_is_doubtful_is_a_warning() -> None:
+    far = Quantity("board", "mm", (50.0, 50.0), 53.0, 0.02, {"b": 1})
+    lines = SurveyCheck((Group((far,), {"b": 50.0}, "measure it"),), "by hand").lines
+    assert "warning: board: 2.9 sigma off; measure it" in lines
 
 
 def test_a_true_config_passes_and_the_report_shows_what_was_compared(quick: Session) -> None:
