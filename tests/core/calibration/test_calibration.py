@@ -270,7 +270,9 @@ def test_order_of_the_views_does_not_matter(quick: Session) -> None:
     second = measure_pair(*pair, quick.site, calibration)
     assert first.corrected is not None
     assert second.corrected is not None
-    assert second.corrected.mm == pytest.approx(first.corrected.mm, abs=1e-6)
+    # The fit stops once a step no longer matters beside the sigma; where, the order may decide.
+    sigma_mm = np.sqrt(np.diag(first.corrected.covariance_mm2))
+    assert np.all(np.abs(second.corrected.mm - first.corrected.mm) < 1e-3 * sigma_mm)
     assert second.corrected.covariance_mm2 == pytest.approx(
         first.corrected.covariance_mm2, rel=1e-4
     )
