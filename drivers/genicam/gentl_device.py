@@ -6,6 +6,7 @@ holds Python's lock while a producer's call lasts, and a producer's fault ends i
 
 from __future__ import annotations
 
+import logging
 import signal
 import time
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import structlog
 
 from drivers.errors import DeviceLostError, MissingLibraryError
 from drivers.genicam.device import (
@@ -25,7 +27,10 @@ from drivers.genicam.device import (
     NodeRefusedError,
     Value,
 )
+from drivers.genicam.gentl_listing import Listed, find_entries, read_list
 from drivers.protocols import CameraSettings
+
+_log = structlog.get_logger("dcam.drivers")
 
 LEAST_WAIT_S = 0.001
 """`harvesters` takes no time-out to mean for ever."""
@@ -56,6 +61,7 @@ class GentlDevice:
         self._acquirer: Any = None
         self._format = ""
         self._torn = 0
+        self._complaints = _Complaints()
 
     @property
     def features(self) -> GentlFeatures:
@@ -70,7 +76,7 @@ class GentlDevice:
     def open(self) -> None:
         """Load the producer, find the device and become the one program that controls it."""
         with _answers(self._genapi, self._gentl):
-            self._harvester = self._core.Harvester()
+            self._harvester = self._core.Harvester(config=self._logged())
             try:
                 self._harvester.add_file(str(self._producer), check_validity=True)
             except OSError as error:
@@ -124,44 +130,59 @@ class GentlDevice:
         deadline_s = time.monotonic() + CONTROL_WAIT_S
         while True:
             self._harvester.update()
-            search = {"serial_number": self._serial}
-            self._require_found()
-            try:
-                self._acquirer = self._harvester.create(search, config=self._config())
-            except (self._gentl.AccessDeniedException, self._gentl.ResourceInUseException):
-                if time.monotonic() > deadline_s:
-                    msg = f"camera {self._serial}: in use by another program, which must be stopped"
-                    raise DeviceLostError(msg) from None
-                time.sleep(POLL_S)
-            else:
+            if self._open_first(find_entries(self._serial, self._listed(), self._producer.name)):
                 return
+            if time.monotonic() > deadline_s:
+                msg = f"camera {self._serial}: in use by another program, which must be stopped"
+                raise DeviceLostError(msg)
+            time.sleep(POLL_S)
+
+    def _open_first(self, entries: list[Listed]) -> bool:
+        """Open the first entry that can be; False when another program has the camera.
+
+        Raises NoAnswerError when no entry can be opened for another reason.
+        """
+        failures: list[str] = []
+        for entry in entries:
+            try:
+                self._acquirer = self._harvester.create(entry.info, config=self._config())
+            except (self._gentl.AccessDeniedException, self._gentl.ResourceInUseException):
+                continue
+            except self._gentl.GenericException as error:
+                failures.append(_first_line(error))
+            else:
+                if len(entries) > 1:
+                    others = [other.device_id for other in entries if other is not entry]
+                    what = {"opened": entry.device_id, "others": others}
+                    _log.info("camera_listed_more_than_once", serial=self._serial, **what)
+                return True
             finally:
                 # `create` has put a handler of its own, which destroys the device.
                 signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if len(failures) < len(entries):
+            return False
+        raise NoAnswerError("; ".join(dict.fromkeys(failures)))
+
+    def _logged(self) -> Any:
+        key = self._core.ParameterKey
+        return self._core.ParameterSet({key.LOGGER: self._complaints.logger()})
 
     def _config(self) -> Any:
         """No look for chunks in each frame: producers without the call for it crash."""
         key = self._core.ParameterKey
         return self._core.ParameterSet({key.ENABLE_AUTO_CHUNK_DATA_UPDATE: False})
 
-    def _require_found(self) -> None:
-        """Raise DeviceLostError unless exactly one device has the serial number."""
-        if not self._harvester.has_revised_device_info_list:
-            msg = f"camera {self._serial}: the GenTL producer {self._producer} does not start"
+    def _listed(self) -> list[Listed]:
+        """What the producer lists; raises DeviceLostError, in its words, when it lists nothing.
+
+        A producer that fails at one interface may have listed the devices of others before.
+        """
+        infos = self._harvester.device_info_list
+        if not infos and not self._harvester.has_revised_device_info_list:
+            why = f" ({self._complaints.last})" if self._complaints.last else ""
+            msg = f"camera {self._serial}: {self._producer} cannot list its cameras{why}"
             raise DeviceLostError(msg)
-        serials = [str(info.serial_number) for info in self._harvester.device_info_list]
-        if serials.count(self._serial) == 1:
-            return
-        if self._serial in serials:
-            count = serials.count(self._serial)
-            msg = f"camera {self._serial}: {count} cameras have this serial number"
-            raise DeviceLostError(msg)
-        msg = (
-            f"camera {self._serial}: not found; {self._producer.name} finds"
-            f" {', '.join(sorted(serials)) or 'no camera at all'}. Check power, cable and the"
-            " serial number in the config"
-        )
-        raise DeviceLostError(msg)
+        return read_list(infos)
 
     def _torn_callback(self) -> Any:
         """`harvesters` puts incomplete frames back without a word but to this."""
@@ -257,6 +278,24 @@ class GentlFeatures:
                 msg = f"the camera has no {name}"
                 raise NodeRefusedError(msg)
             yield getattr(self._nodes, name)
+
+
+class _Complaints(logging.Handler):
+    """Keeps the last error that `harvesters` met while it looked for devices: it only logs them."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.last = ""
+
+    def logger(self) -> logging.Logger:
+        """The logger to give to `harvesters`."""
+        logger = logging.Logger("harvesters", logging.WARNING)  # noqa: LOG001  (no global one)
+        logger.addHandler(self)
+        return logger
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep its first line."""
+        self.last = record.getMessage().split("\n", 1)[0].strip()
 
 
 @contextmanager

@@ -24,7 +24,7 @@ from drivers.errors import (
 )
 from drivers.genicam.gentl import PRODUCER_PATH, GentlCamera, find_producer
 from drivers.protocols import CameraSettings, LineOut, TriggerIn
-from tests.drivers.genicam.gentl.bench import faulty, viky
+from tests.drivers.genicam.gentl.bench import faulty, producer, viky
 from tests.drivers.genicam.gige import registers
 from tests.drivers.genicam.gige.bench import (
     HEIGHT_PX,
@@ -101,6 +101,61 @@ def test_a_camera_without_trigger_and_exposure_is_refused_in_one_line() -> None:
 def test_its_cameras_are_found_by_serial() -> None:
     with pytest.raises(DeviceLostError, match=r"camera 9: not found; viky\.cti finds 0, 1, 2\."):
         GentlCamera("9", SETTINGS, viky()).open()
+
+
+# --- what producers list beside the two cameras
+
+
+@pytest.mark.usefixtures("process")
+@pytest.mark.parametrize("habit", ["FOREIGN", "TWICE", "TWO_WAYS", "BAD_INTERFACE"])
+def test_a_camera_is_found_whatever_else_its_producer_lists(habit: str) -> None:
+    with closing(GentlCamera(SERIAL, SETTINGS, producer(habit))) as camera:
+        camera.open()
+        shoot(camera)
+
+
+@pytest.mark.usefixtures("process")
+def test_a_camera_that_is_listed_twice_is_opened_by_the_way_that_works_and_the_log_says_so() -> (
+    None
+):
+    camera = GentlCamera(SERIAL, SETTINGS, producer("TWO_WAYS"))
+    with closing(camera), capture_logs() as logs:
+        camera.open()
+    (said,) = (log for log in logs if log["event"] == "camera_listed_more_than_once")
+    assert said["others"] == [f"no-way/{said['opened']}"]
+
+
+@pytest.mark.usefixtures("process")
+@pytest.mark.parametrize("habit", [None, "TWICE", "TWO_WAYS"])
+def test_a_camera_that_another_program_has_is_in_use_however_often_it_is_listed(
+    kind: Kind, habit: str | None
+) -> None:
+    with closing(kind.make(SERIAL, SETTINGS, None)) as owner:
+        owner.open()
+        with pytest.raises(DeviceLostError, match="in use by another program"):
+            GentlCamera(SERIAL, SETTINGS, producer(habit)).open()
+        shoot(owner)
+
+
+@pytest.mark.usefixtures("process")
+def test_another_vendors_camera_with_the_same_number_is_not_taken_for_ours() -> None:
+    with pytest.raises(
+        DeviceLostError, match=r"2 cameras with this serial .*Others CamX\); disconnect"
+    ):
+        GentlCamera(SERIAL, SETTINGS, producer("NAMESAKE")).open()
+
+
+@pytest.mark.usefixtures("process")
+def test_what_is_found_instead_names_devices_without_a_number() -> None:
+    found = rf"finds {SERIAL}, Others Gr.*grabber \(which tells no serial number\)\. Check"
+    with pytest.raises(DeviceLostError, match=found):
+        GentlCamera("9", SETTINGS, producer("FOREIGN")).open()
+
+
+@pytest.mark.usefixtures("process")
+def test_a_producer_that_cannot_list_its_devices_is_told_in_its_words() -> None:
+    with pytest.raises(DeviceLostError, match=r"cannot list .*device does not answer"):
+        GentlCamera(SERIAL, SETTINGS, producer("BAD_DEVICE")).open()
 
 
 # --- lines

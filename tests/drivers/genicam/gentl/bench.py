@@ -16,8 +16,11 @@ INCLUDES = Path("/usr/include/aravis-0.8")
 
 
 @functools.cache
-def producer() -> Path:
-    """Build the producer, once; skips, with what is missing, where that cannot be done."""
+def producer(habit: str | None = None) -> Path:
+    """Build the producer, with one of the habits named in its source, once.
+
+    Skips, with what is missing, where that cannot be done.
+    """
     for tool in ("gcc", "pkg-config"):
         if shutil.which(tool) is None:
             pytest.skip(f"GenTL producer: no {tool}; apt-get install gcc pkg-config libaravis-dev")
@@ -32,6 +35,7 @@ def producer() -> Path:
     ).stdout.split()
     built = Path(tempfile.mkdtemp(prefix="dcam-gentl-")) / "producer.cti"
     options = ["-O1", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-Wl,-z,nodelete"]
+    options += [f"-D{habit}"] if habit else []
     subprocess.run(
         ["gcc", *options, SOURCE, "-o", built, "-I", INCLUDES, *glib, "-laravis-0.8"], check=True
     )

@@ -6,6 +6,14 @@
  *
  *     gcc -shared -fPIC -Wl,-z,nodelete producer.c -o producer.cti $(pkg-config ... aravis-0.8)
  *
+ * With -D it has a habit of real producers:
+ *   FOREIGN        lists a device of another vendor first, which tells no serial number
+ *   TWICE          lists each camera twice, with the same id
+ *   TWO_WAYS       lists each camera twice, first by a way on which it cannot be opened
+ *   NAMESAKE       lists a device of another vendor with each camera's serial number
+ *   BAD_DEVICE     fails when it is asked for the id of its last device
+ *   BAD_INTERFACE  has a second interface, which fails when it looks for devices
+ *
  * `nodelete`: a consumer unloads a producer to look for devices again, and GLib's types must not go.
  */
 #include <arv.h>
@@ -159,57 +167,97 @@ GC_ERROR TLUpdateInterfaceList(void *system, bool8_t *changed, uint64_t timeout_
   return OK;
 }
 
-GC_ERROR TLGetNumInterfaces(void *system, uint32_t *n) { (void)system; *n = 1; return OK; }
+#ifdef BAD_INTERFACE
+enum { N_INTERFACES = 2 };
+#else
+enum { N_INTERFACES = 1 };
+#endif
+static const char *const BAD_INTERFACE_ID = "dcam-bad-interface";
+static Port bad_interface_handle;
+
+GC_ERROR TLGetNumInterfaces(void *system, uint32_t *n) {
+  (void)system;
+  *n = N_INTERFACES;
+  return OK;
+}
 
 GC_ERROR TLGetInterfaceID(void *system, uint32_t index, char *id, size_t *pSize) {
   (void)system;
-  if (index > 0) return failed(ERR_INVALID_INDEX, "one interface only");
-  return give_string(INTERFACE_ID, NULL, id, pSize);
+  if (index >= N_INTERFACES) return failed(ERR_INVALID_INDEX, "no such interface");
+  return give_string(index ? BAD_INTERFACE_ID : INTERFACE_ID, NULL, id, pSize);
 }
 
-static GC_ERROR interface_info(int32_t cmd, INFO_DATATYPE *pType, void *out, size_t *pSize) {
+static GC_ERROR interface_info(const char *id, int32_t cmd, INFO_DATATYPE *pType, void *out,
+                               size_t *pSize) {
   if (cmd == 2) return give_string("GEV", pType, out, pSize);
   if (cmd > 2) return failed(ERR_NOT_IMPLEMENTED, "no such information");
-  return give_string(INTERFACE_ID, pType, out, pSize);
+  return give_string(id, pType, out, pSize);
 }
 
 GC_ERROR TLGetInterfaceInfo(void *system, const char *id, int32_t cmd, INFO_DATATYPE *pType,
                             void *out, size_t *pSize) {
-  (void)system; (void)id;
-  return interface_info(cmd, pType, out, pSize);
+  (void)system;
+  return interface_info(id, cmd, pType, out, pSize);
 }
 
 GC_ERROR TLOpenInterface(void *system, const char *id, void **pInterface) {
   (void)system;
-  if (strcmp(id, INTERFACE_ID) != 0) return failed(ERR_INVALID_ID, "no such interface");
-  *pInterface = &interface_handle;
+  *pInterface = strcmp(id, INTERFACE_ID) == 0 ? &interface_handle : &bad_interface_handle;
   return OK;
 }
 
 GC_ERROR IFClose(void *interface) { (void)interface; return OK; }
 
 GC_ERROR IFGetInfo(void *interface, int32_t cmd, INFO_DATATYPE *pType, void *out, size_t *pSize) {
-  (void)interface;
-  return interface_info(cmd, pType, out, pSize);
+  const char *id = interface == &interface_handle ? INTERFACE_ID : BAD_INTERFACE_ID;
+  return interface_info(id, cmd, pType, out, pSize);
 }
 
 GC_ERROR IFUpdateDeviceList(void *interface, bool8_t *changed, uint64_t timeout_ms) {
-  (void)interface; (void)timeout_ms;
+  (void)timeout_ms;
+  if (interface == &bad_interface_handle) return failed(ERR_IO, "filter driver not loaded");
   arv_update_device_list();
   if (changed) *changed = 1;
   return OK;
 }
 
+/* An entry of the list: a camera of Aravis' list, and under which id it is offered. */
+#if defined(TWICE)
+static const char *const WAYS[] = {"", ""};
+#elif defined(TWO_WAYS)
+static const char *const WAYS[] = {"no-way/", ""};
+#elif defined(NAMESAKE)
+static const char *const WAYS[] = {"", "namesake/"};
+#else
+static const char *const WAYS[] = {""};
+#endif
+static const char *const FOREIGN_ID = "foreign";
+#ifdef FOREIGN
+enum { N_FOREIGN = 1 };
+#else
+enum { N_FOREIGN = 0 };
+#endif
+
 GC_ERROR IFGetNumDevices(void *interface, uint32_t *n) {
   (void)interface;
-  *n = arv_get_n_devices();
+  *n = N_FOREIGN + G_N_ELEMENTS(WAYS) * arv_get_n_devices();
   return OK;
 }
 
 GC_ERROR IFGetDeviceID(void *interface, uint32_t index, char *id, size_t *pSize) {
-  (void)interface;
-  if (index >= arv_get_n_devices()) return failed(ERR_INVALID_INDEX, "no such device");
-  return give_string(arv_get_device_id(index), NULL, id, pSize);
+  uint32_t n;
+  IFGetNumDevices(interface, &n);
+  if (index >= n) return failed(ERR_INVALID_INDEX, "no such device");
+#ifdef BAD_DEVICE
+  if (index == n - 1) return failed(ERR_IO, "device does not answer");
+#endif
+#ifdef FOREIGN
+  if (index-- == 0) return give_string(FOREIGN_ID, NULL, id, pSize);
+#endif
+  char text[256];
+  g_snprintf(text, sizeof text, "%s%s", WAYS[index % G_N_ELEMENTS(WAYS)],
+             arv_get_device_id(index / G_N_ELEMENTS(WAYS)));
+  return give_string(text, NULL, id, pSize);
 }
 
 static GC_ERROR device_text(const char *id, const char *vendor, const char *model,
@@ -230,15 +278,23 @@ static GC_ERROR device_text(const char *id, const char *vendor, const char *mode
 GC_ERROR IFGetDeviceInfo(void *interface, const char *id, int32_t cmd, INFO_DATATYPE *pType,
                          void *out, size_t *pSize) {
   (void)interface;
+  if (strcmp(id, FOREIGN_ID) == 0) {
+    if (cmd == 7) return failed(ERR_NOT_AVAILABLE, "serial number not available");
+    return device_text(id, "Others", "Gr\374ner frame grabber", "", cmd, pType, out, pSize);
+  }
+  const char *own_id = strchr(id, '/') ? strchr(id, '/') + 1 : id;
+  int namesake = g_str_has_prefix(id, "namesake/");
   for (unsigned i = 0; i < arv_get_n_devices(); i++)
-    if (strcmp(arv_get_device_id(i), id) == 0)
-      return device_text(id, arv_get_device_vendor(i), arv_get_device_model(i),
+    if (strcmp(arv_get_device_id(i), own_id) == 0)
+      return device_text(id, namesake ? "Others" : arv_get_device_vendor(i),
+                         namesake ? "CamX" : arv_get_device_model(i),
                          arv_get_device_serial_nbr(i), cmd, pType, out, pSize);
   return failed(ERR_INVALID_ID, "no such device");
 }
 
 GC_ERROR IFOpenDevice(void *interface, const char *id, int32_t flags, void **pDevice) {
   (void)interface; (void)flags;
+  if (g_str_has_prefix(id, "no-way/")) return failed(ERR_IO, "not reachable by this interface");
   GError *error = NULL;
   ArvCamera *camera = arv_camera_new(id, &error);
   if (!camera) return failed_with(error);
