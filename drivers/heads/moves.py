@@ -48,6 +48,23 @@ def require_within(
             raise HeadLimitError(msg)
 
 
+def require_unmoved(
+    who: str, rested_deg: Position | None, now_deg: Position, tolerance_deg: float
+) -> None:
+    """Raise HeadError when the head is no longer where it came to rest.
+
+    A head that restarts without homing says 0 wherever it stands: its limits are off by as much.
+    """
+    if rested_deg is None or _is_near(now_deg, rested_deg, 2.0 * tolerance_deg):
+        return
+    msg = (
+        f"{who}: came to rest at {_text(rested_deg)}, but now says {_text(now_deg)}: it restarted "
+        "after a power cut, or something else moved it. Look where the rig points before you go "
+        "on; if it is off, switch the head off and on with the way clear, and aim again"
+    )
+    raise HeadError(msg)
+
+
 @contextmanager
 def halted_on_error(who: str, halt: Callable[[], None]) -> Iterator[None]:
     """Halt the head when the block fails, be it by Ctrl-C, and say so when even that failed."""
@@ -108,7 +125,7 @@ def wait_until_there(
         if still_s > STALL_S:
             msg = (
                 f"{who}: stuck at {_text(now)} on its way to {_text(asked_deg)}; look for what "
-                "blocks it, its cables first"
+                "blocks it, its cables first, and whether it lost power for a moment"
             )
             raise HeadError(msg)
         if now_s > deadline_s:

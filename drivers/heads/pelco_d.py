@@ -19,6 +19,7 @@ from drivers.heads.moves import (
     halted_on_error,
     listen,
     renew,
+    require_unmoved,
     require_within,
     wait_until_there,
 )
@@ -86,6 +87,7 @@ class PelcoHead:
         self._who = f"Pelco-D head {address} at {line.name}"
         self._line = line
         self._asking = threading.RLock()
+        self._rested_deg: Position | None = None
 
     def move_to(self, pan_deg: float, tilt_deg: float) -> None:
         """Go to the nearest hundredths of a degree and wait until the head says it is there."""
@@ -94,12 +96,15 @@ class PelcoHead:
         talk.abort.clear()
         with halted_on_error(self._who, talk.stop):
             renew(self._line)
-            self._position()  # a head that does not answer is known before it moves
+            rested_deg, self._rested_deg = self._rested_deg, None
+            # A head that does not answer is known before it moves.
+            require_unmoved(self._who, rested_deg, self._position(), self._settings.tolerance_deg)
             talk.send(angle_message(talk.address, SET_PAN, target[0]))
             talk.send(angle_message(talk.address, SET_TILT, target[1]))
             wait_until_there(
                 self._who, self._line, self._position, target, self._settings, talk.abort
             )
+            self._rested_deg = self._position()
 
     def position_deg(self) -> Position:
         """Pan and tilt as the head answers, above -180 to 180 deg."""

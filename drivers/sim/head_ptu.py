@@ -39,6 +39,12 @@ class PtuModel:
     """Sends `!P` in the middle of that move, counted from 1, and stops: it has lost its steps."""
     jam_at_move: int | None = None
     """Is blocked from the middle of that move, counted from 1; an axis is a move of its own."""
+    slaved: bool = False
+    """As a program that sent S has left it: moves wait for the next A."""
+    velocity_control: bool = False
+    """As a program that sent CV has left it: it takes positions and does not go there."""
+    modes: bool = True
+    """Whether it knows CI and CV; older units refuse them."""
 
 
 class PtuMachine:
@@ -53,6 +59,8 @@ class PtuMachine:
         self.commands = 0
         self._moves = 0
         self._echo, self._verbose, self._limited = model.echo, True, True
+        self._slaved, self._velocity_control = model.slaved, model.velocity_control
+        self._held: list[tuple[Axis, float]] = []
         self._typed = b""
         self._waiting: str | None = None
         self._queue: deque[str] = deque()
@@ -110,8 +118,10 @@ class PtuMachine:
         if command in {"A", RESET}:
             if command == RESET:
                 self._limited = True
-                for axis in (self.pan, self.tilt):
-                    axis.go(0.0, now_s)
+                self._held = [(axis, 0.0) for axis in (self.pan, self.tilt)]
+            for axis, target_deg in self._held:
+                axis.go(target_deg, now_s)
+            self._held = []
             self._waiting = command
             return self.advance(now_s)
         if command == "H":
@@ -128,7 +138,11 @@ class PtuMachine:
             self._limited = command == "LE"
             return self._line("*")
         if command in {"I", "S"}:
-            return self._line("*") if command == "I" else self._refuse(ILLEGAL)
+            self._slaved = command == "S"
+            return self._line("*")
+        if command in {"CI", "CV"} and self._model.modes:
+            self._velocity_control = command == "CV"
+            return self._line("*")
         if command == "V":
             return self._line(f"* {VERSION}")
         if command == "O":
@@ -182,6 +196,11 @@ class PtuMachine:
         if self._limited and not low <= value <= high:
             bound, limit = ("Maximum", high) if value > high else ("Minimum", low)
             return self._refuse(f"{bound} allowable {name} position is {limit}")
+        if self._velocity_control:
+            return self._line("*")
+        if self._slaved:
+            self._held.append((axis, value * self._deg))
+            return self._line("*")
         axis.go(value * self._deg, now_s)
         self._moves += 1
         if self._moves in {self._model.jam_at_move, self._model.limit_hit_at_move}:

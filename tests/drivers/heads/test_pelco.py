@@ -153,6 +153,17 @@ def test_a_jammed_head_is_halted() -> None:
     assert line.sent[-1] == STOP
 
 
+def test_a_head_that_lost_its_position_between_two_moves_does_not_move() -> None:
+    head, line = head_on(PelcoModel())
+    head.move_to(3.0, 0.0)
+    line.machine = PelcoMachine(PelcoModel())
+    line.sent.clear()
+    with pytest.raises(HeadError, match=r"came to rest at pan 3\.000 .* now says pan 0\.000"):
+        head.move_to(3.0, 1.0)
+    assert angle_message(1, SET_PAN, 3.0) not in line.sent
+    head.move_to(1.0, 1.0)
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_noise_is_lived_with(seed: int) -> None:
     head, line = head_on(PelcoModel(), Faults(noise=0.5, seed=seed))
