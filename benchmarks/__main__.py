@@ -28,7 +28,7 @@ Row = tuple[str, str, str, str]
 
 
 def main() -> None:
-    """Measure, print, and write the page if told where."""
+    """Measure, print, and write the page if a file is named."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("--output", type=Path, metavar="FILE", help="Markdown page to write")
     parser.add_argument("--slots", type=int, default=1000, help="slots of the memory run")

@@ -41,7 +41,7 @@ INNER = BOARD.squares_x - 1, BOARD.squares_y - 1
 
 @dataclass(frozen=True, slots=True)
 class Steadiness:
-    """How far the pose of one camera to the other strays from its mean, rms over the pairs."""
+    """How far the pose of one camera to the other differs from its mean, rms over the pairs."""
 
     pairs: int
     turn_mrad: float

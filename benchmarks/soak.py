@@ -268,7 +268,7 @@ def main() -> int:
         type=int,
         default=1,
         metavar="N",
-        help="measure the same images anew at every Nth look only, to save time",
+        help="measure the same images again at every Nth look only, to save time",
     )
     options = parser.parse_args()
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

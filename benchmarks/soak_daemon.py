@@ -2,7 +2,7 @@
 
 Everything else is the daemon's own: slot loop, pair of cameras, archive, database, control socket.
 Arguments: the boot it is to say it runs in; of how many looks at the same pair of images one is
-measured anew, the others being given the same result; then those of `dcamd`.
+measured again, the others being given the same result; then those of `dcamd`.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class MeasuredAnew:
 
 
 class Remembered:
-    """Judges a row by those before it without reading them anew: a slot then takes a third."""
+    """Judges a row by those before it without reading them again: a slot then takes a third."""
 
     def __init__(self) -> None:
         self._sequence: RowHistory | None = None

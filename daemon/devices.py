@@ -254,7 +254,7 @@ def _aravis() -> OpenCamera:
     from drivers.genicam.aravis import AravisCamera
     from drivers.genicam.aravis_device import load_aravis
 
-    load_aravis()  # a library that is not installed is told at once, not at every slot
+    load_aravis()  # a library that is not installed is reported at once, not at every slot
     return AravisCamera
 
 

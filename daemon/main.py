@@ -1,4 +1,4 @@
-"""`dcamd`, the daemon: opens everything, runs slots until told to stop, closes everything."""
+"""`dcamd`, the daemon: opens everything, runs slots until asked to stop, closes everything."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ def cli(options: Options, max_slots: int | None) -> None:
     """Take, measure and record one frame pair a slot, until SIGTERM or Ctrl-C.
 
     Each slot of the schedule ends as a row or in a gap with its cause. Logs go to stderr. SIGHUP
-    reads the config anew; one that is wrong leaves the old one in force.
+    reads the config again; one that is wrong leaves the old one in force.
     """
     serve(options.installation, max_slots)
 
 
 def serve(installation: Installation, max_slots: int | None = None) -> None:
-    """Run the daemon on a site until told to stop.
+    """Run the daemon on a site until asked to stop.
 
     Raises ConfigError, AlreadyRunningError, StoreError, DriverError, ProcessSpentError.
     """

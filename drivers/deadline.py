@@ -60,7 +60,7 @@ class DeadlineThread:
         return future.done()
 
     def end(self, wait_s: float = 0.0) -> None:
-        """Let the thread release what it holds and end; wait for that no longer than told."""
+        """Let the thread release what it holds and end; wait for that no longer than given."""
         self._calls.put(None)
         self._thread.join(wait_s)
 

@@ -18,7 +18,7 @@ class DeviceError(DriverError):
 
 
 class DeviceLostError(DeviceError):
-    """The camera is gone: the object must be closed and opened anew."""
+    """The camera is gone: the object must be closed and opened again."""
 
 
 class DeviceHangsError(DeviceLostError):
@@ -38,7 +38,7 @@ class SettingRefusedError(DeviceError):
 
 
 class HeadError(DriverError):
-    """The pan-tilt head did not do as told; it has been halted, or the message says it was not."""
+    """The pan-tilt head did not do what was asked; it is halted, or the message says it is not."""
 
 
 class HeadLimitError(HeadError):
@@ -46,7 +46,7 @@ class HeadLimitError(HeadError):
 
 
 class HeadLostError(HeadError):
-    """The line to the head is gone; the next call opens it anew."""
+    """The line to the head is gone; the next call opens it again."""
 
 
 class FrameSetError(DriverError):

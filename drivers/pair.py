@@ -35,7 +35,7 @@ MEET_S = 1.0
 FIRST_BACK_OFF_S = 1.0
 LAST_BACK_OFF_S = 30.0
 FAILURES_TO_REOPEN = 3
-"""After so many frames missed in a row a camera is opened anew though it did not say it is lost."""
+"""After so many frames missed in a row a camera is opened again though it did not say "lost"."""
 CLOSE_TIMEOUT_S = 5.0
 
 
@@ -45,7 +45,7 @@ class SynchronizedPair:
     Each camera lives in a thread of its own. Both are opened and armed, meet, and are triggered by
     software; or the main camera is, where `main_triggers_sub`, and its line triggers the other. A
     call that hangs is left behind with its thread at the deadline, and the camera is not touched
-    before the call returns; a lost camera is opened anew, with a growing pause between the
+    before the call returns; a lost camera is opened again, with a growing pause between the
     attempts, so that a dead one costs a slot its deadline at most, and usually nothing.
     """
 
@@ -82,7 +82,7 @@ class SynchronizedPair:
         self._both(_Lane.open_and_arm, "opening", self._open_timeout_s)
 
     def set_exposure(self, role: Role, exposure_us: float, gain_db: float | None) -> None:
-        """Have a camera expose so from the next frame on, also after it was opened anew."""
+        """Have a camera expose so from the next frame on, also after it was opened again."""
         self._lanes[role == "sub"].expose(exposure_us, gain_db)
 
     def capture(self, slot_utc: datetime) -> CapturedPair:
@@ -289,7 +289,7 @@ class _Lane:
             self._left_behind, self._thread = self._thread, None
 
     def _give_up(self, trouble: str) -> None:
-        """Have the camera opened anew, after a pause that grows while that fails."""
+        """Have the camera opened again, after a pause that grows while that fails."""
         _log.warning("camera_lost", role=self._role, serial=self._camera.serial, error=trouble)
         self._open = False
         self._failures = 0

@@ -95,7 +95,7 @@ class Camera(Protocol):
     """A camera that takes one frame at a trigger.
 
     Every call returns or raises a `drivers.errors.DeviceError` within its deadline.
-    After a `DeviceLostError` the object is closed and `open` starts anew.
+    After a `DeviceLostError` the object is closed and `open` starts again.
     """
 
     @property
@@ -143,7 +143,7 @@ class FramePairSource(Protocol):
         ...
 
     def set_exposure(self, role: Role, exposure_us: float, gain_db: float | None) -> None:
-        """Have a camera expose so from the next `capture` on, also after it was opened anew.
+        """Have a camera expose so from the next `capture` on, also after it was opened again.
 
         Only notes the wish, and never fails. Frames tell what came of it; a source whose frames
         are long taken ignores it.
@@ -154,7 +154,7 @@ class FramePairSource(Protocol):
         """Take both frames of a slot.
 
         Raises `drivers.errors.DeviceError` (its `role` tells which camera) when a frame cannot
-        be had; the next call tries again, opening the lost device anew.
+        be had; the next call tries again, opening the lost device again.
         """
         ...
 
@@ -198,7 +198,7 @@ class PanTiltHead(Protocol):
     """A two-axis head; angles in degrees from its own zero.
 
     Every call returns or raises a `drivers.errors.HeadError` within its deadline. The connection
-    is made when it is first needed and made anew when it was lost. A move that fails for whatever
+    is made when it is first needed and made again when it was lost. A move that fails for whatever
     reason, Ctrl-C too, ends with the head halted, or with an error that says it could not be.
     """
 

@@ -85,7 +85,7 @@ def find_target(
     The points are the images of the discs' centres: under perspective the middle of an ellipse
     is not, and the difference is taken off (as far as four discs or more tell it).
 
-    Raises TargetNotFoundError if the plate is not seen or its discs cannot be told apart for
+    Raises TargetNotFoundError if the plate is not seen or its discs cannot be distinguished for
     certain, ImageError if the array is no greyscale image, ValueError for a layout that is none.
 
     >>> import cv2

@@ -1,4 +1,4 @@
-"""Where an alarm keeps what it has told: beside the database, or in /run while the disk is ill."""
+"""Where an alarm keeps what it has sent: beside the database, or in /run while the disk is ill."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ def read_memory(state: Path) -> tuple[Memory, str | None]:
         except (FileNotFoundError, NotADirectoryError):
             continue
         except OSError as error:
-            return Memory(), f"{path}: cannot be read ({error.strerror}): begun anew"
+            return Memory(), f"{path}: cannot be read ({error.strerror}): begun again from nothing"
         except ValidationError:
-            return Memory(), f"{path}: damaged: begun anew"
+            return Memory(), f"{path}: damaged: begun again from nothing"
     return Memory(), None
 
 
 def keep_memory(state: Path, memory: Memory) -> None:
     """Keep it durably; on a disk that refuses, until the next start of the computer at least.
 
-    Else a disk that turned read-only would be told of at every look. Raises OSError.
+    Else a disk that turned read-only would be reported at every look. Raises OSError.
     """
     *stopgap, path = _places(state)
     data = memory.model_dump_json().encode() + b"\n"

@@ -36,7 +36,7 @@ class NotAcceptedError(HardwareError):
 
 @dataclass(frozen=True, slots=True)
 class Receiver:
-    """One who is told."""
+    """One who is notified."""
 
     name: str
     """Its key in the config, with the scheme of an address."""

@@ -1,4 +1,4 @@
-"""Who must be told what, and when: rules over what is wrong now, what was told, and the time."""
+"""Who must be notified of what, and when: from what is wrong now, what was sent, and the time."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ class News(Enum):
     CLEARED = "all well again"
 
 
-class Told(BaseModel):
+class Sent(BaseModel):
     """What one receiver knows of; it has not heard yet that all is well again."""
 
     model_config = ConfigDict(frozen=True, strict=True)
 
     levels: dict[str, Level]
-    """Of what was wrong when it was told, as far as it still is."""
+    """Of what was wrong when it was sent, as far as it still is."""
     at_utc: AwareDatetime
 
 
@@ -38,12 +38,12 @@ class Memory(BaseModel):
 
     since: dict[str, AwareDatetime] = {}
     """When each item that is wrong was first seen so."""
-    told: dict[str, Told] = {}
+    sent: dict[str, Sent] = {}
     """By receiver."""
 
 
 def wrong(items: Sequence[Item], settings: AlarmSection) -> list[Item]:
-    """Give the items that are bad enough; what is unknown is told by no item of a status."""
+    """Give the items that are bad enough; what is unknown is never an item of a status."""
     bad = {Level.CRITICAL} | ({Level.WARNING} if settings.level == "warning" else set())
     return [item for item in items if item.level in bad]
 
@@ -59,7 +59,7 @@ def seen(
     """Remember what is wrong now, and forget what is not.
 
     Where not the whole site could be looked at, nothing is known of the rest. A clock that was
-    set back starts the time anew.
+    set back starts the time again.
     """
     now = {item.name for item in items}
 
@@ -67,15 +67,15 @@ def seen(
         return name in now or not whole
 
     since = {name: min(time, now_utc) for name, time in memory.since.items() if kept(name)}
-    told = {
-        receiver: Told(
+    sent = {
+        receiver: Sent(
             levels={name: level for name, level in known.levels.items() if kept(name)},
             at_utc=min(known.at_utc, now_utc),
         )
-        for receiver, known in memory.told.items()
+        for receiver, known in memory.sent.items()
         if receiver in receivers
     }
-    return Memory(since=dict.fromkeys(now, now_utc) | since, told=told)
+    return Memory(since=dict.fromkeys(now, now_utc) | since, sent=sent)
 
 
 def due(
@@ -84,27 +84,27 @@ def due(
     """Tell whether a receiver must hear something now; `memory` has seen the items."""
     after = timedelta(minutes=settings.after_min)
     lasting = [item for item in items if now_utc - memory.since[item.name] >= after]
-    told = memory.told.get(receiver)
-    known = told.levels if told else {}
+    sent = memory.sent.get(receiver)
+    known = sent.levels if sent else {}
     if any(item.level > known.get(item.name, Level.OK) for item in lasting):
         return News.RAISED
-    if told is None:
+    if sent is None:
         return None
     if not items:
         return News.CLEARED
-    if lasting and now_utc - told.at_utc >= timedelta(hours=settings.repeat_h):
+    if lasting and now_utc - sent.at_utc >= timedelta(hours=settings.repeat_h):
         return News.REPEATED
     return None
 
 
-def told(memory: Memory, receiver: str, items: Sequence[Item], now_utc: datetime) -> Memory:
+def with_sent(memory: Memory, receiver: str, items: Sequence[Item], now_utc: datetime) -> Memory:
     """Remember that a receiver has heard of the items; of none, that all is well again."""
-    others = {name: known for name, known in memory.told.items() if name != receiver}
+    others = {name: known for name, known in memory.sent.items() if name != receiver}
     if items:
-        known = memory.told[receiver].levels if receiver in memory.told else {}
+        known = memory.sent[receiver].levels if receiver in memory.sent else {}
         levels = known | {item.name: item.level for item in items}
-        others[receiver] = Told(levels=levels, at_utc=now_utc)
-    return Memory(since=memory.since, told=others)
+        others[receiver] = Sent(levels=levels, at_utc=now_utc)
+    return Memory(since=memory.since, sent=others)
 
 
 def title(news: News, site: str, items: Sequence[Item]) -> str:

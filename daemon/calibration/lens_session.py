@@ -30,7 +30,7 @@ _ANOTHER_SHARE = 0.04
 """A view is another one when the board has moved by this share of the image's width."""
 
 OnView = Callable[[LensCoverage, str], None]
-"""Told after each look what is covered now, and what became of the look."""
+"""Called after each look with what is covered now, and what became of the look."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ from drivers.errors import FrameSetError
 from drivers.frameset import FrameSet, FrameSetRow, format_slot, read_frame_set
 
 OnStep = Callable[[str], None]
-"""Told what has just been done, once for each view and once for the calibration."""
+"""Called with what has just been done, once for each view and once for the calibration."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ def calibrate_frames(
 def store_run(
     store: Store, run: CalibrationRun, config: Config, created_utc: datetime, *, activate: bool
 ) -> int:
-    """Store a calibration for good, active if told; give its number."""
+    """Store a calibration for good, active if asked; give its number."""
     record = CalibrationRecord(
         created_utc=created_utc,
         content=run.calibration.to_dict(),

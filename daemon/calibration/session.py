@@ -44,9 +44,9 @@ TRIES = 3
 SIMULATED_LENS_VIEWS = 12
 
 OnStep = Callable[[str], None]
-"""Told what is being done, once for each view."""
+"""Called with what is being done, once for each view."""
 OnTrouble = Callable[[str], None]
-"""Told what an engineer should know of a view, and what is done about it."""
+"""Called with what an engineer should know of a view, and what is done about it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -178,7 +178,7 @@ def common_motion_px(before: FloatArray, after: FloatArray) -> float:
 
     Each corner is held against the nearest one before, so that no corner needs a name, and the
     motion common to them (an affine map) against their scatter. Half a square is the most that
-    can be told; a board that moves more is not at rest either.
+    can be seen; a board that moves more is not at rest either.
     """
     distance, nearest = cKDTree(before).query(after)
     close = distance <= 3.0 * float(np.median(distance)) + 0.5

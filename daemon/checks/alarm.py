@@ -1,4 +1,4 @@
-"""Who would be told when something is wrong, and whether they can be reached at all."""
+"""Who would be notified when something is wrong, and whether they can be reached at all."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def check_alarm(settings: AlarmSection) -> Iterator[Finding]:
     """Look at each receiver of `[alarm]`, without sending anything."""
     everyone = receivers(settings)
     if not everyone:
-        text = "nobody is told when data stop: name urls or a command in [alarm]"
+        text = "nobody is notified when data stop: name urls or a command in [alarm]"
         yield Finding("alarm", "warning", text)
         return
     try:

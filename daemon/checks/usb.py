@@ -117,9 +117,7 @@ def _camera(camera: UsbCamera, name: str, person: host.Person) -> Iterator[Findi
     yield _access(camera, f"{name} access", what, person)
     mbit_s = host.number(camera.attribute("speed"))
     if mbit_s is None:
-        yield Finding(
-            f"{name} link", "warning", f"{what}: speed not told: unplug it and plug it in"
-        )
+        yield Finding(f"{name} link", "warning", f"{what}: speed unknown: unplug it and plug it in")
     else:
         cure = "plug it into a USB 3 port (blue or marked SS), with a USB 3 cable of at most 3 m"
         yield unless(mbit_s >= USB3_MBIT_S, f"{name} link", f"{what} at {mbit_s} Mbit/s", cure)

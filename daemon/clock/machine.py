@@ -42,8 +42,8 @@ def simulated_machine(clock: Clock) -> Machine:
 
 def read_boot_id() -> str:
     """Give the name of this run of the machine, or of the container."""
-    told = os.environ.get(BOOT_ID_VARIABLE) or BOOT_ID_FILE.read_text(encoding="ascii")
-    return str(UUID(told.strip()))  # systemd writes it without its dashes
+    boot_id = os.environ.get(BOOT_ID_VARIABLE) or BOOT_ID_FILE.read_text(encoding="ascii")
+    return str(UUID(boot_id.strip()))  # systemd writes it without its dashes
 
 
 def uptime_s() -> float:

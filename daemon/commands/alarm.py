@@ -11,7 +11,7 @@ import click
 
 from daemon.alarm.memory import keep_memory, read_memory
 from daemon.alarm.receivers import NotAcceptedError, Receiver, receivers
-from daemon.alarm.rules import Memory, due, seen, text, title, told, wrong
+from daemon.alarm.rules import Memory, due, seen, text, title, with_sent, wrong
 from daemon.commands.options import Options, at_option, common_options, pass_options
 from daemon.commands.output import note, say
 from daemon.config.alarm import AlarmSection, read_remains
@@ -96,7 +96,7 @@ def _wrong_items(place: Place, now_utc: datetime) -> tuple[list[Item], bool]:
         return [no_verdict(place.config)], False
     try:
         items = judge(collect_facts(place.config, place.state, now_utc))
-    except Exception as error:  # noqa: BLE001 - whatever hides how the site is must be told
+    except Exception as error:  # noqa: BLE001 - whatever hides how the site is must be sent
         return [no_verdict(error)], False
     return wrong(items, place.settings), True
 
@@ -123,19 +123,19 @@ def _tell_all(
         if not _send(receiver, headline, text(memory, items, now_utc)):
             code = ExitCode.HARDWARE
             continue
-        memory = told(memory, receiver.key, items, now_utc)
+        memory = with_sent(memory, receiver.key, items, now_utc)
         kept, code = _keep(place.state, kept, memory, code)
     return _keep(place.state, kept, memory, code)[1]
 
 
 def _keep(state: Path, kept: Memory, memory: Memory, code: ExitCode) -> tuple[Memory, ExitCode]:
-    """Write the memory if it has changed; what cannot be kept is told."""
+    """Write the memory if it has changed; what cannot be kept is said."""
     if memory == kept:
         return kept, code
     try:
         keep_memory(state, memory)
     except OSError as error:
-        note("; ".join(lines_of(error)) + ": what was told is not remembered, and told again")
+        note("; ".join(lines_of(error)) + ": what was sent is forgotten, and sent again")
         return kept, ExitCode.HARDWARE
     return memory, code
 

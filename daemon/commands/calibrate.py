@@ -50,7 +50,9 @@ from daemon.store.database import open_store
     is_flag=True,
     help="With --pan-tilt: take no lens views; the lens is then known as drawn only.",
 )
-@click.option("--fresh", is_flag=True, help="Begin anew, not where an interrupted run broke off.")
+@click.option(
+    "--fresh", is_flag=True, help="Begin from the start, not where a run was interrupted."
+)
 @click.option(
     "--method",
     type=click.Choice([method.value for method in Method]),

@@ -40,7 +40,7 @@ _TOLD_SHARE = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Everything that is told."""
+    """Everything that is reported."""
 
     site: Site
     calibration_plan: CalibrationPlan

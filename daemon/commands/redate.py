@@ -25,7 +25,7 @@ Undated = Sequence[tuple[int, MeasurementRecord]]
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What is to be dated anew, and how."""
+    """What is to be dated again, and how."""
 
     rows: list[MeasurementRecord]
     undated: Undated

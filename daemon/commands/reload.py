@@ -1,4 +1,4 @@
-"""`dcam-ctl reload`: have the running dcamd read its config anew."""
+"""`dcam-ctl reload`: have the running dcamd read its config again."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from daemon.errors import HardwareError
 @common_options
 @pass_options
 def command(options: Options) -> None:
-    """Have the running dcamd read its config anew; it goes on with it after the slot in progress.
+    """Have the running dcamd read its config again; it goes on with it after the slot in progress.
 
-    A config that is wrong leaves the old one in force, and is told here: exit code 3. The
-    cameras are opened anew; slots that this costs are a gap. `[storage] directory` and a simulated
+    A config that is wrong leaves the old one in force, and is reported here: exit code 3. The
+    cameras are opened again; slots that this costs are a gap. `[storage] directory` and a simulated
     clock need a restart.
     """
     state = options.state

@@ -56,7 +56,7 @@ def command(options: Options, directory: Path, clock: Literal["stepped", "system
     """Write a copy of the config with simulated cameras and head, everything else as it is.
 
     So calibrate, dcamd and capture run on the site's own geometry before any hardware is there.
-    Who is told by [alarm] is left out: a trial sends nothing. Ends with the commands to run next.
+    [alarm] is left out: a trial notifies nobody. Ends with the commands to run next.
     """
     source = find_config(options.config_flag)
     load_config(source)  # what is wrong in it is the original's fault, and named there

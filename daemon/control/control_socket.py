@@ -77,7 +77,7 @@ class CommandHandlers:
     capture: Callable[[], dict[str, Any]]
     """Take and measure a slot's pairs between two slots."""
     reload: Callable[[], None]
-    """Read the config anew; raises where it is wrong, and the old one stays."""
+    """Read the config again; raises where it is wrong, and the old one stays."""
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""What systemd is told: ready, status, alive, stopping (sd_notify(3)), without a library for it."""
+"""What dcamd tells systemd: ready, status, alive, stopping (sd_notify(3)), without a library."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ class Notifier:
     """Sends states to the service manager; without one it does nothing.
 
     A service manager that does not listen must never stop a measurement, so errors of the
-    socket are dropped: systemd notices by itself what it has not been told.
+    socket are dropped: systemd notices by itself what is missing.
     """
 
     def __init__(self, address: str | None, watchdog_s: float | None = None) -> None:

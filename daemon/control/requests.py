@@ -1,4 +1,4 @@
-"""What the running daemon is told from outside: to stop, or to go on with another config."""
+"""What the running daemon is asked from outside: to stop, or to go on with another config."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A disk that fills up or fails: frames go before measurements, and it is told once.
+"""A disk that fills up or fails: frames go before measurements, and it is reported once.
 
 Space is used up in this order: the frames end where the reserve begins (`reserve_mb` free), rows go
 on into that; when it is gone the reserve file is given up, and rows have as much again.
@@ -86,7 +86,7 @@ class DiskGuard:
             raise DiskFullError(msg)
 
     def frames_refused(self, slot_utc: datetime, error: StoreError) -> None:
-        """Note that a slot goes without its frames; the first time it is told."""
+        """Note that a slot goes without its frames; the first time it is reported."""
         self._lost_slots += 1
         if self._refused is None:
             _log.error("frames_not_kept", slot=slot_text(slot_utc), error=str(error))
@@ -94,7 +94,7 @@ class DiskGuard:
         self._refused = str(error)
 
     def frames_kept(self, slot_utc: datetime) -> None:
-        """Note that a slot has its frames; the first time after some had not, it is told."""
+        """Note that a slot has its frames; the first time after some had not, it is reported."""
         if self._refused is None:
             return
         _log.info("frames_kept_again", slot=slot_text(slot_utc), slots_without=self._lost_slots)

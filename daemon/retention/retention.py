@@ -230,7 +230,7 @@ class Retention:
         self._store.add_event(slot_utc, "frames_removed", detail)
 
     def _count_next(self, slot_utc: datetime) -> bool:
-        """Count a day that has not been counted, or the newest one anew. Raises StoreError."""
+        """Count a day that has not been counted, or the newest one again. Raises StoreError."""
         today = slot_utc.astimezone(UTC).date()
         waiting = [day for day, record in self._days.items() if record is None]
         day = next(

@@ -73,7 +73,7 @@ class ExposureLoop:
 
     @property
     def asked(self) -> dict[Role, Exposure]:
-        """How each camera exposes that was told to."""
+        """How each camera exposes whose exposure was set here."""
         return {role: camera.asked for role, camera in self._cameras.items() if camera.asked}
 
     def follow(

@@ -75,7 +75,7 @@ class SlotContext:
     """Whether the clock is before the last slot: pairs are kept apart then, until their slots are
     known; the archive is one of its own, below the state directory."""
     late_row_done: Callable[[datetime], None] = lambda _slot_utc: None
-    """Told of each pair that was measured late: many of them take their time."""
+    """Called with each pair that was measured late: many of them take their time."""
 
 
 def run_slot(

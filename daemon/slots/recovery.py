@@ -129,7 +129,7 @@ def mark_finished(store: Store, time_utc: datetime) -> None:
 
 
 def mark_stop(store: Store, now_utc: datetime) -> None:
-    """Note that the daemon ended as it was told to."""
+    """Note that the daemon ended as it was asked to."""
     store.set_mark(Mark.CLEAN_STOP_UTC, instant_text(now_utc))
 
 

@@ -1,4 +1,4 @@
-"""What the world is told of the daemon's course: phases, and each cycle that has ended.
+"""What the daemon reports of its course: phases, and each cycle that has ended.
 
 The watchdog is fed here and nowhere else, by finished cycles only: a slot that hangs in a library
 feeds nothing, and the service manager starts a fresh process.

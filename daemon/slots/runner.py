@@ -82,7 +82,7 @@ class SlotRunner:
         """Whether the clock was disciplined when last looked at."""
 
     def run(self, max_slots: int | None = None) -> int:
-        """Run until told to stop, or until so many slots have been run; give how many were.
+        """Run until asked to stop, or until so many slots have been run; give how many were.
 
         Raises ProcessSpentError when only a fresh process may help, DatabaseDamagedError.
         """

@@ -43,7 +43,7 @@ LOOK_PATIENCE_S = 100.0
 """How long a look waits for such a time; less than its client waits for the answer."""
 STEPS_AT_START = 100
 """Of removing frames from a full disk, before the first row."""
-RELOADED = "the config was read anew"
+RELOADED = "the config was read again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Station:
 
 
 class Service:
-    """Runs slots on a station until told to stop, or to go on with another."""
+    """Runs slots on a station until asked to stop, or to go on with another."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""One slot's pairs now, measured and told, and nothing recorded: `dcam-ctl capture`."""
+"""One slot's pairs now, measured and shown, and nothing recorded: `dcam-ctl capture`."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def measure_look(
 def look_fields(
     slot_utc: datetime, measurement: Measurement, shots: Sequence[Shot], site: Site
 ) -> dict[str, Any]:
-    """Give what is told of a look, in plain JSON types; without a value, with what explains it."""
+    """Give a look in plain JSON types; one without a value with what explains that."""
     pair, seen = shots[0].pair, measurement.diagnostics
     problems = [] if measurement.corrected is not None else recognition_problems(pair, site)
     fields: dict[str, Any] = plain(
@@ -89,7 +89,7 @@ def recognition_problems(pair: CapturedPair, site: Site) -> list[str]:
 
 
 def pair_fields(pair: CapturedPair) -> dict[str, Any]:
-    """What is told of a pair that is not measured."""
+    """What is reported of a pair that is not measured."""
     return {
         "skew_s": pair.skew_s,
         "main": frame_fields(pair.main),

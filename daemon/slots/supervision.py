@@ -1,7 +1,7 @@
 """What is done about an error while dcamd runs: one table, from the class of the error to a policy.
 
 Nothing here is retried faster than a back-off: the next slot is a period away, a camera is opened
-anew after a pause that grows (`drivers.pair`), and a process that ends is started again by systemd
+again after a pause that grows (`drivers.pair`), and a process that ends is started again by systemd
 after `RestartSec`. What a fresh process is hoped to cure ends this one, after some patience; the
 patience doubles with every such end of the last day, so that a fault that stays costs few slots.
 """
@@ -45,7 +45,7 @@ class Action(StrEnum):
     NEXT_SLOT = "next_slot"
     """The slot is missed; the next one is a fresh attempt."""
     REOPEN = "reopen"
-    """The slot is missed; the device is opened anew, after a pause that grows."""
+    """The slot is missed; the device is opened again, after a pause that grows."""
     DEGRADE = "degrade"
     """Go on with less: frames are given up before the row is."""
     OWE = "owe"

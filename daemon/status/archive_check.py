@@ -96,7 +96,7 @@ class ArchiveCheck:
         try:
             lines = read_frame_set(directory).rows
         except FrameSetError as error:
-            yield Finding("table", str(directory), str(error), "restart dcamd: it writes it anew")
+            yield Finding("table", str(directory), str(error), "restart dcamd: it writes it again")
             return
         for line in lines:
             for name, expected in (
@@ -128,7 +128,7 @@ class ArchiveCheck:
 
 
 def _day_of(text: str) -> date | None:
-    """A day; None of a damaged row, which is told as such."""
+    """A day; None of a damaged row, which is reported as such."""
     try:
         return date.fromisoformat(text)
     except ValueError:

@@ -114,7 +114,7 @@ def _daemon(facts: Facts) -> Item:
     if daemon.running:
         return _running_daemon(daemon)
     if daemon.running is None:
-        return Item("daemon", Level.UNKNOWN, "cannot be told: /proc/locks is not readable")
+        return Item("daemon", Level.UNKNOWN, "unknown: /proc/locks is not readable")
     if daemon.clean_stop_utc is not None:
         return Item("daemon", Level.WARNING, f"stopped in order, {utc_text(daemon.clean_stop_utc)}")
     if daemon.heartbeat_utc is None:
@@ -251,7 +251,7 @@ def _disk(disk: Disk) -> Item:
 
 
 def _database(facts: Facts) -> Item:
-    """A database that was set aside is told until somebody has looked at it and moved it away."""
+    """A database that was set aside is reported until somebody has moved it away."""
     if facts.damage_noted is not None:
         text = f"{facts.damage_noted}; restart dcamd, it saves what can be read"
         return Item("database", Level.CRITICAL, text)

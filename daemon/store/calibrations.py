@@ -11,7 +11,7 @@ from daemon.store.schema import ActivationRow, CalibrationRow
 
 
 def add(session: Session, record: CalibrationRecord, *, activate: bool) -> int:
-    """Store a calibration, and make it the one in use if told; give its id.
+    """Store a calibration, and make it the one in use if asked; give its id.
 
     Raises ValueError for content that is not plain, finite JSON.
     """

@@ -278,7 +278,7 @@ class Store:
     # Calibrations
 
     def add_calibration(self, record: CalibrationRecord, *, activate: bool = False) -> int:
-        """Store a calibration for good, and make it the active one if told; give its id.
+        """Store a calibration for good, and make it the active one if asked; give its id.
 
         Raises ValueError for content that is not plain, finite JSON.
         """

@@ -16,7 +16,7 @@ from daemon.store.sqlite import connect, connect_readonly, said_plainly, transla
 
 
 def make_engine(path: Path, *, readonly: bool = False) -> Engine:
-    """Give an engine whose transactions begin as told by the option `dcam_begin`.
+    """Give an engine whose transactions begin as set by the option `dcam_begin`.
 
     Python's driver begins late and deferred, so that two writers could fail in the middle of a
     transaction: SQLite cannot wait for the write lock once a read lock is held. Writers say

@@ -50,7 +50,7 @@ def known_revisions() -> list[str]:
     scripts = ScriptDirectory.from_config(alembic_config())
     known = [script.revision for script in scripts.walk_revisions()][::-1]
     if not known:
-        msg = "no migrations are installed: install the program anew"
+        msg = "no migrations are installed: install the program again"
         raise RuntimeError(msg)
     return known
 

@@ -34,7 +34,7 @@ class AravisCamera:
 
     Implements `drivers.protocols.Camera`. Everything of the library happens in a thread of the
     open device's own; when a call exceeds its deadline, or the device is lost, that thread is left
-    to release the device in its own time and `open` starts anew with another.
+    to release the device in its own time and `open` starts again with another.
     """
 
     def __init__(self, serial: str, settings: CameraSettings, role: Role | None = None) -> None:

@@ -73,7 +73,7 @@ class GentlCamera:
     """One camera, selected by serial number; one frame at each trigger.
 
     Implements `drivers.protocols.Camera`. When a call exceeds its deadline, or the device is lost,
-    its process is killed and `open` starts anew with another.
+    its process is killed and `open` starts again with another.
     """
 
     def __init__(

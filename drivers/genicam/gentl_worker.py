@@ -68,11 +68,11 @@ def serve(connection: Connection) -> None:
         except DriverError as raised:
             error = raised.with_traceback(None)
         except Exception as raised:  # noqa: BLE001  (harvesters asserts, and raises ValueError)
-            # The camera is opened anew, and the log says where it was.
+            # The camera is opened again, and the log says where it was.
             _log.exception("camera_fault", serial=setup.serial, call=call.name)
             error = DeviceLostError(
                 f"camera {setup.serial}: {call.name} failed: {type(raised).__name__}: {raised};"
-                " it will be opened anew"
+                " it will be opened again"
             )
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         connection.send(Reply(value, error, collector.take()))

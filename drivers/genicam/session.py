@@ -115,7 +115,7 @@ class Session:
         its settings: that is a lost one.
         """
         if self._device.features.read("TriggerMode") != "On":
-            msg = f"camera {self._serial}: was restarted; it will be opened anew"
+            msg = f"camera {self._serial}: was restarted; it will be opened again"
             raise DeviceLostError(msg)
         self._device.stop()
         self._start_acquisition()
@@ -189,7 +189,7 @@ class Session:
     def _connection(self, what: str) -> Iterator[None]:
         """Turn the library's errors, which here mean that the camera does not answer."""
         if self.is_lost:
-            msg = f"camera {self._serial}: control lost before {what}; it will be opened anew"
+            msg = f"camera {self._serial}: control lost before {what}; it will be opened again"
             raise DeviceLostError(msg)
         try:
             yield

@@ -27,7 +27,7 @@ SAME_DEG = 1e-6
 
 
 def renew(line: Line) -> None:
-    """Open the line; one that died while nobody used it is opened anew. Raises HeadLostError."""
+    """Open the line; one that died while nobody used it is opened again. Raises HeadLostError."""
     if line.openings:
         with suppress(HeadLostError):  # it is closed now
             line.read(0.0)

@@ -1,4 +1,4 @@
-"""A serial line with a deadline on every call, opened anew when its port vanished and came back."""
+"""A serial line with a deadline on every call, opened again once its port is back."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Line(Protocol):
         ...
 
     def read(self, timeout_s: float) -> bytes:
-        """Give what has come, waiting for the first byte no longer than told; else b"".
+        """Give what has come, waiting for the first byte no longer than given; else b"".
 
         Raises HeadLostError.
         """

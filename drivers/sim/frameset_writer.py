@@ -65,15 +65,15 @@ def write_frame_set(
         world.hold_board(view.held)
         head.move_to(*view.head_deg)
         pan_deg, tilt_deg = head.position_deg()
-        told = view.role in {"reference", "rig"}
+        at_known_angles = view.role in {"reference", "rig"}
         rows.append(
             FrameSetRow(
                 slot_utc=view.slot_utc,
                 role=view.role,
                 main=_write(directory, number, "main", world, view),
                 sub=_write(directory, number, "sub", world, view),
-                pan_deg=round(pan_deg, 4) if told else None,
-                tilt_deg=round(tilt_deg, 4) if told else None,
+                pan_deg=round(pan_deg, 4) if at_known_angles else None,
+                tilt_deg=round(tilt_deg, 4) if at_known_angles else None,
             )
         )
         if view.role in {"reference", "measure"}:

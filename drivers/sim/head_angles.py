@@ -1,6 +1,6 @@
-"""Where the simulated head truly is, told to the simulated world of another process.
+"""Where the simulated head truly is, given to the simulated world of another process.
 
-A Unix socket: whoever connects is told the angles of that instant, as one line of JSON, and is let
+A Unix socket: whoever connects gets the angles of that instant, as one line of JSON, and is let
 go. The world asks when a camera is triggered, so that a frame taken too early shows the move.
 """
 
@@ -58,8 +58,8 @@ class AnglesAsker:
                 head.settimeout(TIMEOUT_S)
                 head.connect(str(self._path))
                 with head.makefile("r") as answer:
-                    told = json.loads(answer.readline())
-            return float(told["pan_deg"]), float(told["tilt_deg"])
+                    angles = json.loads(answer.readline())
+            return float(angles["pan_deg"]), float(angles["tilt_deg"])
         except (OSError, ValueError, KeyError) as error:
             msg = (
                 f"simulated rig: no angles from the simulated head at {self._path} ({error}); "

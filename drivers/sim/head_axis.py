@@ -1,4 +1,4 @@
-"""One axis of a simulated head: finite speed and acceleration, in the time that it is told."""
+"""One axis of a simulated head: finite speed and acceleration, in the time that it is given."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class _Phase:
 class Axis:
     """Where an axis is at any time; every order is given with the time at which it is given.
 
-    Time never goes back. A move is a trapezoid of speed: up, along, down. An axis that is told to
+    Time never goes back. A move is a trapezoid of speed: up, along, down. An axis that must
     go elsewhere while it moves the wrong way, or too fast, brakes to a stop first.
     """
 
@@ -35,7 +35,7 @@ class Axis:
         self._jammed = False
 
     def go(self, target_deg: float, now_s: float, speed_deg_s: float | None = None) -> None:
-        """Go there, as fast as told or as the axis is set to; never beyond its mechanical end."""
+        """Go there, as fast as asked or as the axis is set to; never beyond its mechanical end."""
         low, high = self.limits_deg
         self._begin_here(now_s)
         self.target_deg = min(max(target_deg, low), high)
@@ -76,7 +76,7 @@ class Axis:
         self.target_deg = self._start_deg + rate * abs(rate) / (2.0 * self.accel_deg_s2)
 
     def jam(self, now_s: float) -> None:
-        """Be blocked from now on: it stands still whatever it is told."""
+        """Be blocked from now on: it stands still whatever it is asked."""
         self._begin_here(now_s)
         self._start_deg_s = 0.0
         self._jammed = True

@@ -10,7 +10,7 @@ import numpy as np
 
 
 class HeadMachine(Protocol):
-    """A head as a pure machine: bytes in, bytes out, at the times that it is told."""
+    """A head as a pure machine: bytes in, bytes out, at the times that it is given."""
 
     @property
     def commands(self) -> int:

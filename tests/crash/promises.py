@@ -26,7 +26,7 @@ AFTER = "boot-after"
 
 @dataclass(frozen=True, slots=True)
 class Promises:
-    """What has been told so far, and must never be otherwise again."""
+    """What has been reported so far, and must never be otherwise again."""
 
     first_slot_utc: datetime | None = None
     """From here on every slot is accounted for."""
@@ -37,7 +37,7 @@ class Promises:
     pictures: frozenset[bytes] = frozenset()
     """Frames of rows whose slots may still change."""
     gaps: Mapping[datetime, str] = field(default_factory=dict)
-    """Cause of each slot that has been told to be missed."""
+    """Cause of each slot that has been reported to be missed."""
     events: frozenset[Row] = frozenset()
     """Kind and detail."""
     calibration_id: int = 0
@@ -142,8 +142,8 @@ def _check_slots(
         slot += STEP
     yield from (f"slot {slot} is accounted for, but never was" for slot in both)
     for slot, cause in now.causes.items():
-        told = promised.gaps.get(slot)
-        true = {told} if told else {finished.causes.get(slot), *promised.absence}
+        reported = promised.gaps.get(slot)
+        true = {reported} if reported else {finished.causes.get(slot), *promised.absence}
         if promised.first_slot_utc and cause not in true:
             yield f"slot {slot} is missing because of {cause}, in truth {true}"
 

@@ -1,4 +1,4 @@
-"""A small site run by the product's own parts, without cameras; what it told is written down.
+"""A small site run by the product's own parts, without cameras; what it said is written down.
 
 A pair shows its slot in its pixels, and what is measured is read from them: a row made late must
 be that of its own frames.

@@ -38,7 +38,7 @@ class InterruptedRun:
     injection: str
     directory: Path
     exit: int
-    """0 when it ended as told, -9 when it was killed."""
+    """0 when it ended as asked, -9 when it was killed."""
     acknowledged: frozenset[int]
     """Numbers of slots."""
     calls: Counter[str]
@@ -154,7 +154,7 @@ def test_refused_each_call_it_goes_on_and_accounts_for_every_slot(
     runs = interrupter.run(every_call(undisturbed, *INJECTIONS[error]))
     for run in runs:
         why = went_on(run)
-        why += broken(run.state, *told_by(run, undisturbed), END, twice=False)
+        why += broken(run.state, *promised_by(run, undisturbed), END, twice=False)
         found += [f"{run.injection}: {why}"] if why else []
     tally(f"{error} at {len(runs)} system calls of two slots: {len(found)} broke a promise")
     assert found == []
@@ -168,7 +168,7 @@ def went_on(run: InterruptedRun) -> list[str]:
     return [f"{lost} slots have no row"] if lost > 1 else []
 
 
-def told_by(run: InterruptedRun, undisturbed: InterruptedRun) -> tuple[Promises, Finished]:
+def promised_by(run: InterruptedRun, undisturbed: InterruptedRun) -> tuple[Promises, Finished]:
     """What a run that came to its end had promised; its rows name the frames that it kept."""
     left = read_database(run.state / FILE_NAME)
     slots = frozenset(SLOTS[number] for number in run.acknowledged)

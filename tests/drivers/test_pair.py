@@ -27,7 +27,7 @@ PIXELS = np.zeros((4, 6), np.uint8)
 
 
 class FakeCamera:
-    """A camera that does as told: `on` maps a call's name to what happens in it."""
+    """A camera that does as asked: `on` maps a call's name to what happens in it."""
 
     def __init__(self, serial: str, trigger_s: float = 0.0) -> None:
         self.serial = serial
@@ -309,7 +309,7 @@ def test_a_driver_that_breaks_is_named_and_opened_anew(rig: Rig, error: Exceptio
 
 
 def test_a_close_that_fails_is_nobodys_trouble(rig: Rig) -> None:
-    """The camera is opened anew all the same, and a thread that ends does so quietly."""
+    """The camera is opened again all the same, and a thread that ends does so quietly."""
     rig.main.on["arm"] = _raise(DeviceLostError("M1 gone"))
     rig.main.on["close"] = _raise(OSError("no such device"))
     rig.fail()
@@ -351,7 +351,7 @@ FRAME = CapturedFrame(PIXELS, 8, 1, 5, 7.0)
 
 
 @pytest.mark.parametrize(
-    ("found", "told"),
+    ("found", "reported"),
     [
         (None, "gave NoneType instead of a frame"),
         (replace(FRAME, pixels=PIXELS[0]), "gave pixels of shape (6,) instead of rows and columns"),
@@ -362,14 +362,14 @@ FRAME = CapturedFrame(PIXELS, 8, 1, 5, 7.0)
         (FRAME, "gave frame 1 a second time"),
     ],
 )
-def test_what_is_no_whole_new_frame_is_refused(rig: Rig, found: object, told: str) -> None:
+def test_what_is_no_whole_new_frame_is_refused(rig: Rig, found: object, reported: str) -> None:
     """Whatever a driver hands over: neither archive nor measurement ever meets it."""
     rig.sub.give = FRAME
     rig.pair.capture(SLOT)
     rig.sub.give = found
     error = rig.fail()
     assert isinstance(error, IncompleteFrameError)
-    assert str(error).startswith(f"sub camera S1: {told}")
+    assert str(error).startswith(f"sub camera S1: {reported}")
     assert error.role == "sub"
 
 

@@ -65,8 +65,8 @@ class Station:
         """Wait until so many cycles have ended; gives the last one's slot."""
         done = 0
         while done < count:
-            told = self._manager.recv(4096).decode()
-            found = re.search(r"STATUS=slot (\S+) ", told)
+            reported = self._manager.recv(4096).decode()
+            found = re.search(r"STATUS=slot (\S+) ", reported)
             if found and (since is None or datetime.fromisoformat(found[1]) > since):
                 done += 1
                 last = datetime.fromisoformat(found[1])

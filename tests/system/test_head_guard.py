@@ -38,8 +38,8 @@ def head(tmp_path: Path) -> Iterator[Path]:
 def where(angles: Path) -> tuple[float, float]:
     with socket.socket(socket.AF_UNIX) as asking:
         asking.connect(str(angles))
-        told = json.loads(asking.makefile().readline())
-    return told["pan_deg"], told["tilt_deg"]
+        reported = json.loads(asking.makefile().readline())
+    return reported["pan_deg"], reported["tilt_deg"]
 
 
 def until(angles: Path, moving: bool) -> tuple[float, float]:
@@ -55,7 +55,7 @@ def until(angles: Path, moving: bool) -> tuple[float, float]:
 
 
 def test_sigkill_in_a_move_of_a_head_without_feedback(head: Path, tmp_path: Path) -> None:
-    """It would turn on to its stop: it was told to start, and nobody is left to say stop."""
+    """It would turn on to its stop: it was asked to start, and nobody is left to say stop."""
     config = tmp_path / "dcam.toml"
     config.write_text(
         SIMULATED
@@ -76,7 +76,7 @@ def test_sigkill_in_a_move_of_a_head_without_feedback(head: Path, tmp_path: Path
         program.kill()
         begun = where(head)
         stopped = until(head, moving=False)
-        told = program.stderr.read()  # the guard has the other end of it: it is gone too
+        reported = program.stderr.read()  # the guard has the other end of it: it is gone too
     assert abs(stopped[0] - begun[0]) + abs(stopped[1] - begun[1]) < 1.5
-    assert b"the head was halted, its program is gone" in told
+    assert b"the head was halted, its program is gone" in reported
     assert where(head) == stopped

@@ -3,7 +3,7 @@
 `frames/YYYY/MM/DD/` below the state directory is itself a frame set: `HHMMSS_main.png`,
 `HHMMSS_sub.png` and `frames.csv`; the second pair of a burst is `HHMMSS_02_main.png` and so on.
 The order of writes is main, sub, line, pair by pair. A pair whose line a power cut took is still a
-pair; the line is written anew from the images at the next start.
+pair; the line is written again from the images at the next start.
 """
 
 from __future__ import annotations

@@ -72,10 +72,10 @@ def find(directory: Path, slot_utc: datetime, number: int = 1) -> dict[str, str]
 
 
 def repair(directory: Path) -> list[datetime]:
-    """Bring a day's table in step with its images after a crash; give the slots entered anew.
+    """Bring a day's table in step with its images after a crash; give the slots entered again.
 
     Leftovers of interrupted writes go. A torn last line is cut. A table that cannot be read is
-    set aside, never deleted, and written anew from the images. Raises OSError.
+    set aside, never deleted, and written again from the images. Raises OSError.
     """
     for leftover in directory.glob(".*.tmp"):
         leftover.unlink()

@@ -111,7 +111,7 @@ def traces_of_a_lost_database(path: Path) -> str:
 
 
 def ended_in_order(path: Path) -> bool:
-    """Whether the last daemon closed the database as it was told to: its log is gone then."""
+    """Whether the last daemon closed the database as it was asked to: its log is gone then."""
     log = path.with_name(path.name + "-wal")
     if log.exists() and log.stat().st_size:
         return False

@@ -158,12 +158,12 @@ def _finish(temporary: Path, carried: Carried, note: Note, now_utc: datetime) ->
             _enter_gaps(session, carried)
             _stand_in_for_lost_calibrations(session, now_utc)
             _restore_activation(session, now_utc)
-            told = _account(session, carried, note)
-            session.add(EventRow(time_utc=now_utc, kind="database_salvaged", detail=told))
-            session.merge(MarkRow(name=Mark.SALVAGED.value, value=told))
+            account = _account(session, carried, note)
+            session.add(EventRow(time_utc=now_utc, kind="database_salvaged", detail=account))
+            session.merge(MarkRow(name=Mark.SALVAGED.value, value=account))
     finally:
         engine.dispose()
-    _log.error("database_salvaged", detail=told)
+    _log.error("database_salvaged", detail=account)
 
 
 def _enter_gaps(session: Session, carried: Carried) -> None:

@@ -75,7 +75,7 @@ class Log:
     def lost_commits(self) -> int:
         """How many whole commits SQLite would drop.
 
-        What a cut left of a commit that never ended is none of them: nobody was told of it.
+        What a cut left of a commit that never ended is none of them: nobody was promised it.
         """
         read = 0
         while read < len(self.frames) and self.is_header_sound and self.frames[read].as_written:

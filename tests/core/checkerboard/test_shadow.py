@@ -101,7 +101,7 @@ def test_a_row_with_a_shadow_on_the_board_is_good(
         assert np.abs(error / np.sqrt(np.diag(row.corrected.covariance_mm2))).max() < 4.0
 
 
-def test_something_on_the_board_is_told_beside_a_shadow(usual: Session) -> None:
+def test_something_on_the_board_is_noticed_beside_a_shadow(usual: Session) -> None:
     """A leaf of three squares by three, in the light, with a shadow's edge elsewhere."""
     main, sub = usual.pair(usual.world.settings.start_utc + 100 * MINUTE)
     height, width = sub.pixels.shape

@@ -1,7 +1,7 @@
 """Whether sigma is true: errors over many simulated sites, from image noise through calibration.
 
 The rows of one site share the error of its calibration, so only many sites tell. Points instead of
-images keep that fast; `python -m benchmarks.sites` does the same at full size, with images if told.
+images keep that fast; `python -m benchmarks.sites` does the same at full size, or with images.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def test_two_thirds_of_the_errors_are_within_one_sigma(kind: Kind) -> None:
 
 @pytest.mark.parametrize("kind", ["lab", "field"])
 def test_the_calibrations_own_part_is_true(kind: Kind) -> None:
-    """Rows without any noise of their own: what is left is the calibration's error, as told."""
+    """Rows without any noise of their own: what is left is the calibration's error, as stated."""
     pooled = _pooled(Case(kind, shrink=QUARTER, quiet_rows=True))
     assert 0.65 < pooled.whitened_rms < 1.25
     assert pooled.within_2 > 0.90

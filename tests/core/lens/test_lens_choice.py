@@ -33,7 +33,7 @@ def test_the_true_model_is_chosen(model: LensModel, seed: int) -> None:
     assert f"distortion: {model}, chosen on held-out views (" in found.choice.sentence
 
 
-def test_a_model_that_is_told_is_taken() -> None:
+def test_a_model_that_is_named_is_taken() -> None:
     rng = np.random.default_rng(1)
     views = noisy(true_views(Lens(np.array(LENSES[LensModel.RADIAL]), LensModel.RADIAL), rng), rng)
     found = calibrate_lens_from_corners(views, BOARD, SIZE, model=LensModel.RATIONAL)

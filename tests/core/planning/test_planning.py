@@ -37,7 +37,7 @@ def drawn(case: sites.Case, seed: int) -> tuple[PlannedSite, CalibrationPlan]:
     return PlannedSite(site, QUALITY), CalibrationPlan(lens_views, positions)
 
 
-def told_mm(rows: Sequence[sites.Row]) -> FloatArray:
+def stated_mm(rows: Sequence[sites.Row]) -> FloatArray:
     """(2,) rms of the sigmas that rows carry."""
     return np.sqrt(np.mean([np.diag(row.covariance_mm2) for row in rows], axis=0))
 
@@ -58,7 +58,7 @@ def test_sites_measure_as_predicted(kind: sites.Kind) -> None:
     for seed in range(1, SITES + 1):
         predicted = predicted_mm(case, seed)
         rows = sites.run_numbers(case, seed).rows
-        assert predicted == pytest.approx(told_mm(rows), rel=0.2)
+        assert predicted == pytest.approx(stated_mm(rows), rel=0.2)
         errors.append([row.error_mm / predicted for row in rows])
     assert 1.0 / 1.5 < np.sqrt(np.mean(np.square(errors))) < 1.5
 
@@ -68,7 +68,7 @@ def test_calibrations_know_as_much_as_predicted(kind: sites.Kind) -> None:
     """Likewise the calibration's part alone, mostly smaller than a row's own noise."""
     case = sites.Case(kind, shrink=4.0, quiet_rows=True)
     for seed in (1, 2, 3):
-        ratio = predicted_mm(case, seed) / told_mm(sites.run_numbers(case, seed).rows)
+        ratio = predicted_mm(case, seed) / stated_mm(sites.run_numbers(case, seed).rows)
         assert (ratio > 1.0 / 1.5).all()
         assert (ratio < 1.5).all()
 

@@ -121,17 +121,17 @@ def test_rows_at_random_are_rarely_taken_for_a_slip():
         (laboratory, 12, 2.0, 1.0),
     ],
 )
-def test_a_slip_is_told_until_it_is_undone(
+def test_a_slip_is_reported_until_it_is_undone(
     kind: Callable[..., Rows], rows: int, slip_mm: float, share: float
 ):
-    rng, told, after = np.random.default_rng(5), [], []
+    rng, reported, after = np.random.default_rng(5), [], []
     for _ in range(60):
         angle = rng.integers(4) * np.pi / 2.0
         slip = slip_mm * np.array([np.cos(angle), np.sin(angle)])
         reasons = judged(kind(rng, rows), rng, slip, slice(rows - 7, rows - 3))
-        told += [said == (Reason.BOARD_SLIPPED,) for said in reasons[-7:-3]]
+        reported += [said == (Reason.BOARD_SLIPPED,) for said in reasons[-7:-3]]
         after += [said == () for said in reasons[-3:]]
-    assert np.mean(told) >= share
+    assert np.mean(reported) >= share
     assert np.mean(after) > 0.97
 
 
@@ -141,7 +141,7 @@ def samples(count: int, **changes: object) -> list[RowSummary]:
     return [RowSummary(time_s=60.0 * k, **{**fields, **changes}) for k in range(count)]
 
 
-def test_corners_that_fit_badly_for_long_are_told():
+def test_corners_that_fit_badly_for_long_are_reported():
     state, said = StepDetector(), ()
     for row in samples(40, residual_ratio=2.3):
         said, state = state.judge(row, QualityLimits())
@@ -149,7 +149,7 @@ def test_corners_that_fit_badly_for_long_are_told():
     assert state.residual_ratio == pytest.approx(2.3)
 
 
-def test_a_target_that_moves_faster_than_it_may_is_told():
+def test_a_target_that_moves_faster_than_it_may_is_reported():
     state = StepDetector()
     for row in samples(10):
         _, state = state.judge(row, QualityLimits(max_step_mm=2.0))

@@ -136,8 +136,10 @@ def test_a_dead_daemon_is_told_once_again_while_it_lasts_and_when_it_is_over(
     (message,) = inbox.messages()
     headline, line = message.splitlines()
     assert headline == "dcam bench: CRITICAL"
-    told = "daemon: critical since 2026-03-01T00:09:00Z (15 min): not running, died after 2026-03-0"
-    assert line.startswith(told)
+    reported = (
+        "daemon: critical since 2026-03-01T00:09:00Z (15 min): not running, died after 2026-03-0"
+    )
+    assert line.startswith(reported)
     for minutes in (5, 24):
         site.measure(minutes)
         look(site, running=False)
@@ -227,7 +229,7 @@ def test_a_broken_memory_is_told_and_begun_anew(site: Site, inbox: Inbox) -> Non
         (site.state / "alarm.json").write_bytes(garbage)
         ran = look(site, running=False)
         assert ran.code == 0
-        assert f"{site.state / 'alarm.json'}: damaged: begun anew" in ran.err
+        assert f"{site.state / 'alarm.json'}: damaged: begun again from nothing" in ran.err
     assert len(inbox.messages()) == 5
 
 
@@ -270,7 +272,7 @@ def test_a_clock_that_is_set_back_neither_silences_nor_repeats(site: Site, inbox
 
 
 @pytest.mark.parametrize(
-    ("damage", "told"),
+    ("damage", "reported"),
     [
         (lambda site: (site.state / "dcam.db").write_bytes(b"nothing" * 1000), "critical since"),
         (lambda site: (site.state / "dcam.db").unlink(), "no database"),
@@ -279,7 +281,7 @@ def test_a_clock_that_is_set_back_neither_silences_nor_repeats(site: Site, inbox
     ],
 )
 def test_a_site_of_which_nothing_can_be_known_is_told(
-    site: Site, inbox: Inbox, damage: Callable[[Site], object], told: str
+    site: Site, inbox: Inbox, damage: Callable[[Site], object], reported: str
 ) -> None:
     """A database that is none, a config that is wrong: its [alarm] is read all the same."""
     damage(site)
@@ -288,7 +290,7 @@ def test_a_site_of_which_nothing_can_be_known_is_told(
     assert ran.code == 0, ran.err
     (message,) = inbox.messages()
     assert message.splitlines()[1].startswith("status: ")
-    assert told in message
+    assert reported in message
 
 
 def configure_wrongly(site: Site, right: str, wrong: str) -> None:
@@ -303,7 +305,7 @@ def test_an_alarm_section_that_is_wrong_is_a_config_error(site: Site) -> None:
 
 
 def test_what_was_told_is_still_known_while_nothing_can_be(site: Site, inbox: Inbox) -> None:
-    """A config that is wrong for a while is told of; the dead daemon not once more after it."""
+    """A config that is wrong for a while is reported; the dead daemon not once more after it."""
     configure(site, f"command = {inbox.command}\nafter_min = 0")
     die(site)
     look(site, running=False)

@@ -47,11 +47,11 @@ def test_the_copy_holds_every_row_and_is_checked(running: Store, ctl: Ctl, tmp_p
 
 def test_a_program_reads_rows_and_size(running: Store, ctl: Ctl, tmp_path: Path) -> None:
     ran = ctl("--state", running.path.parent, "backup", tmp_path / "copy.db", "--json")
-    told = json.loads(ran.out)
-    assert (told["schema"], told["command"], told["rows"]) == (1, "backup", ROWS)
-    assert told["file"] == str(tmp_path / "copy.db")
-    assert told["size_bytes"] == (tmp_path / "copy.db").stat().st_size
-    assert told["last_slot_utc"] == "2026-03-01T00:39:00Z"
+    reported = json.loads(ran.out)
+    assert (reported["schema"], reported["command"], reported["rows"]) == (1, "backup", ROWS)
+    assert reported["file"] == str(tmp_path / "copy.db")
+    assert reported["size_bytes"] == (tmp_path / "copy.db").stat().st_size
+    assert reported["last_slot_utc"] == "2026-03-01T00:39:00Z"
 
 
 def test_rows_written_meanwhile_neither_wait_nor_begin_the_copy_anew(
@@ -154,7 +154,7 @@ def test_a_full_disk_is_told_and_the_older_backup_stays(running: Store, tmp_path
     )
     if ran.returncode == 77 or "unshare" in ran.stderr:
         pytest.skip(f"no mount without root here: {ran.stderr.strip()}")
-    told, *there = ran.stderr.splitlines()
+    reported, *there = ran.stderr.splitlines()
     assert ran.returncode == 5
-    assert told.endswith("disk/copy.db: the disk is full: free some space")
+    assert reported.endswith("disk/copy.db: the disk is full: free some space")
     assert there == ["copy.db"]

@@ -174,7 +174,7 @@ def out_of_order(lines: list[str]) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("damage", "told"),
+    ("damage", "reported"),
     [
         (missing_column, "'role'"),
         (duplicate_slot, "frames.csv:4"),
@@ -183,13 +183,13 @@ def out_of_order(lines: list[str]) -> list[str]:
     ],
 )
 def test_damaged_table_is_named_with_what_is_wrong(
-    ctl: Ctl, bench: Path, own_set: Path, tmp_path: Path, damage, told: str
+    ctl: Ctl, bench: Path, own_set: Path, tmp_path: Path, damage, reported: str
 ) -> None:
     edit_table(own_set, damage)
     ran = calibrate(ctl, bench, tmp_path / "state", own_set)
     assert ran.code == 4
     assert "frames.csv" in ran.err
-    assert told in ran.err
+    assert reported in ran.err
     assert len(ran.err.splitlines()) == 1
     assert ran.out == ""
 

@@ -103,11 +103,11 @@ def test_it_goes_on_until_the_views_are_enough_and_says_so(
     ran = ctl("--config", config, "--state", state, "calibrate", "--intrinsics")
     assert ran.code == 0, ran.err
     assert ran.out.startswith("lens views are enough\n")
-    told = [line for line in ran.err.splitlines() if line.startswith("dcam-ctl: view")]
-    assert all("; next: " in line for line in told[:-1])
-    assert told[-1].endswith("; enough")
+    reported = [line for line in ran.err.splitlines() if line.startswith("dcam-ctl: view")]
+    assert all("; next: " in line for line in reported[:-1])
+    assert reported[-1].endswith("; enough")
     frames = latest_lens_views(state)
-    assert len(frames.rows) == len(told) >= ENOUGH_VIEWS
+    assert len(frames.rows) == len(reported) >= ENOUGH_VIEWS
     assert str(frames.directory) in ran.out
     judged = ctl(
         "--config", config, "calibrate", "--intrinsics", "--from", frames.directory, "--json"

@@ -179,7 +179,7 @@ def test_the_light_is_settled_first_and_then_left_alone(config: Path, tmp_path: 
     assert begun is not None
     settled = {role: (exposure_us, db) for role, exposure_us, db in made.exposures}
     assert begun.plan.exposures == settled
-    looks = [pair for told, pair in pairs if told == len(made.exposures)]
+    looks = [pair for settled_cameras, pair in pairs if settled_cameras == len(made.exposures)]
     assert len(looks) > 5
     for pair in looks:
         assert (pair.main.exposure_us, pair.main.gain_db) == settled["main"]

@@ -1,4 +1,4 @@
-"""`check --hardware` on made-up computers: each thing that is wrong is told with its cure."""
+"""`check --hardware` on made-up computers: each thing that is wrong is named with its cure."""
 
 from __future__ import annotations
 

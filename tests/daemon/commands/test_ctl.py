@@ -167,7 +167,7 @@ def test_check_tells_what_is_and_what_to_do(ctl: Ctl, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("alarm", "code", "said"),
     [
-        ("", 0, "warning  nobody is told when data stop: name urls or a command in [alarm]"),
+        ("", 0, "warning  nobody is notified when data stop: name urls or a command in [alarm]"),
         ('urls = ["ntfy://ntfy.sh/secret"]', 0, "ok       tells urls[0] (ntfy) of what"),
         (
             'urls = ["ntfy://ntfy.sh/secret", "mailto:/oops-secret"]',

@@ -159,7 +159,7 @@ def test_capture_settles_the_light_first(tmp_path: Path, calibrated: Path, ctl: 
     pier.toml.write_text(pier.toml.read_text() + "main_us = 500.0\nsub_us = 300.0\n")
     ran = ctl("--config", pier.toml, "--state", pier.state, "capture", "--json")
     assert ran.code == 0, ran.err
-    told = json.loads(ran.out)
-    assert 2500.0 < told["main"]["exposure_us"] < 7000.0
-    assert 2500.0 < told["sub"]["exposure_us"] < 7000.0
-    assert told["measurement"]["flag"] == 1
+    reported = json.loads(ran.out)
+    assert 2500.0 < reported["main"]["exposure_us"] < 7000.0
+    assert 2500.0 < reported["sub"]["exposure_us"] < 7000.0
+    assert reported["measurement"]["flag"] == 1

@@ -95,9 +95,9 @@ def test_a_locale_of_ascii_gets_readable_text_and_exact_data(site: Site) -> None
     words = words_of(site, "status")
     ran = on_pipe(several(words, [*words, "--json"]), **ASCII_LOCALE)
     assert ran.stderr == b""
-    told, data = ran.stdout.split(b"== exit code 2\n")[:2]
-    assert b"x +0.500 +/- 0.100 mm" in told
-    assert b"Brucke \\u6865" in told
+    reported, data = ran.stdout.split(b"== exit code 2\n")[:2]
+    assert b"x +0.500 +/- 0.100 mm" in reported
+    assert b"Brucke \\u6865" in reported
     assert json.loads(data)["site"] == "Brücke 桥"
     shown = on_terminal(100, program(*words), **ASCII_LOCALE)
     assert "x +0.500 +/- 0.100 mm" in " ".join(shown.split())

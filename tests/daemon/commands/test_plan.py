@@ -41,29 +41,29 @@ def changed(config: str, *changes: tuple[str, str]) -> str:
 
 def test_json_tells_scales_room_and_sigma(ctl: Ctl, tmp_path: Path) -> None:
     """The geometry by hand; what a program may rely on is there."""
-    told = planned(ctl, tmp_path)
-    assert (told["schema"], told["command"]) == (1, "plan")
+    reported = planned(ctl, tmp_path)
+    assert (reported["schema"], reported["command"]) == (1, "plan")
     scale = 800e3 / 17.58 / 11000.0
-    assert told["main_px_per_mm"] == pytest.approx(scale)
-    assert told["sub_px_per_mm"] == pytest.approx(6e3 / 17.58 / 50.0)
-    assert told["square_px"] == pytest.approx(4.0 * told["sub_px_per_mm"])
-    assert told["main_field_mm"] == pytest.approx([640 / scale, 400 / scale])
-    assert told["disc_px"] == pytest.approx(8.0 * scale)
-    assert told["drift_mm"] == pytest.approx(11.0 + 1.5)  # 1 mrad at 11 m, and 1.5 mm
-    assert told["affine_error_px"] == pytest.approx(1.5 / 11000.0 * 15.0 * scale, rel=0.01)
-    assert told["corners"] == 15 * 13
-    assert told["warnings"] == []
-    assert told["failure"] is None
-    predicted = told["predicted"]
+    assert reported["main_px_per_mm"] == pytest.approx(scale)
+    assert reported["sub_px_per_mm"] == pytest.approx(6e3 / 17.58 / 50.0)
+    assert reported["square_px"] == pytest.approx(4.0 * reported["sub_px_per_mm"])
+    assert reported["main_field_mm"] == pytest.approx([640 / scale, 400 / scale])
+    assert reported["disc_px"] == pytest.approx(8.0 * scale)
+    assert reported["drift_mm"] == pytest.approx(11.0 + 1.5)  # 1 mrad at 11 m, and 1.5 mm
+    assert reported["affine_error_px"] == pytest.approx(1.5 / 11000.0 * 15.0 * scale, rel=0.01)
+    assert reported["corners"] == 15 * 13
+    assert reported["warnings"] == []
+    assert reported["failure"] is None
+    predicted = reported["predicted"]
     assert predicted["typical_mm"] == max(predicted["drifted_mm"])
     assert predicted["worst_mm"] == max(motion["row_mm"] for motion in predicted["motions"])
     assert len(predicted["motions"]) == 6
     for motion in predicted["motions"]:
         assert 0.0 < motion["calibration_mm"] < motion["row_mm"]
     assert max(predicted["still_mm"]) < predicted["typical_mm"]
-    for limit in told["limits"]:
+    for limit in reported["limits"]:
         assert 0.0 < limit["without_mm"] <= predicted["typical_mm"] * (1.0 + 1e-9)
-    assert all(x["typical_mm"] < 0.9 * predicted["typical_mm"] for x in told["improvements"])
+    assert all(x["typical_mm"] < 0.9 * predicted["typical_mm"] for x in reported["improvements"])
 
 
 def test_what_is_said_to_better_it_does(ctl: Ctl, tmp_path: Path) -> None:
@@ -97,14 +97,14 @@ def test_the_kind_of_lens_counts(ctl: Ctl, tmp_path: Path) -> None:
 
 
 def test_text_says_sigma_causes_and_changes(ctl: Ctl, tmp_path: Path) -> None:
-    told = planned(ctl, tmp_path)
+    reported = planned(ctl, tmp_path)
     ran = plan(ctl, tmp_path)
     assert ran.code == 0
     assert ran.err == ""
-    assert f"predicted: 1 sigma of {told['predicted']['typical_mm']:.2g} mm" in ran.out
+    assert f"predicted: 1 sigma of {reported['predicted']['typical_mm']:.2g} mm" in ran.out
     assert "12 lens views, 23 positions of the head" in ran.out
-    assert f"{told['limits'][0]['without_mm']:.4f}" in ran.out
-    for better in told["improvements"]:
+    assert f"{reported['limits'][0]['without_mm']:.4f}" in ran.out
+    for better in reported["improvements"]:
         assert f"{better['typical_mm']:.4f}  " in ran.out
         assert better["what"] in ran.out
     assert "warning" not in ran.out
@@ -136,13 +136,15 @@ def test_what_is_too_small_or_too_large_is_warned_of(
 def test_a_head_that_turns_the_target_out_of_its_image_is_warned_of(
     ctl: Ctl, tmp_path: Path
 ) -> None:
-    told = planned(ctl, tmp_path, SITE, "--reach-deg", "0.4", "0.1")
-    assert any("the main target leaves its image at 6 of 21" in text for text in told["warnings"])
+    reported = planned(ctl, tmp_path, SITE, "--reach-deg", "0.4", "0.1")
+    assert any(
+        "the main target leaves its image at 6 of 21" in text for text in reported["warnings"]
+    )
 
 
 def test_a_drift_that_the_main_image_cannot_hold_is_warned_of(ctl: Ctl, tmp_path: Path) -> None:
-    told = planned(ctl, tmp_path, SITE + "\n[quality]\nexpected_drift_mrad = 2.9\n")
-    (warning,) = told["warnings"]
+    reported = planned(ctl, tmp_path, SITE + "\n[quality]\nexpected_drift_mrad = 2.9\n")
+    (warning,) = reported["warnings"]
     assert "moves the main target by 33 mm" in warning
     assert "shorter main lens" in warning
 
@@ -158,19 +160,19 @@ def test_a_drift_that_the_main_image_cannot_hold_is_warned_of(ctl: Ctl, tmp_path
 def test_a_site_that_cannot_be_calibrated_is_exit_1_with_the_cause(
     ctl: Ctl, tmp_path: Path, changes: list[tuple[str, str]], words: str
 ) -> None:
-    """Scales and room are told all the same."""
+    """Scales and room are reported all the same."""
     config = changed(SITE + "\n[quality]\n", *changes)
     ran = plan(ctl, tmp_path, config, "--json")
     assert ran.code == 1
-    told = json.loads(ran.out)
-    assert told["predicted"] is None
-    assert words in told["failure"]
-    assert told["main_px_per_mm"] > 0.0
+    reported = json.loads(ran.out)
+    assert reported["predicted"] is None
+    assert words in reported["failure"]
+    assert reported["main_px_per_mm"] > 0.0
     ran = plan(ctl, tmp_path, config)
     assert ran.code == 1
     assert "field of view" in ran.out
     (error,) = ran.err.splitlines()
-    assert told["failure"] in error
+    assert reported["failure"] in error
 
 
 def test_a_head_that_only_pans_is_exit_1_and_names_the_missing_motion(

@@ -29,8 +29,8 @@ def preview(tmp_path: Path):
     with subprocess.Popen(
         command + paths, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
-        told = process.stderr.readline()
-        address = told[told.index("http") :].split()[0]
+        reported = process.stderr.readline()
+        address = reported[reported.index("http") :].split()[0]
         yield address, process
         process.kill()
 
@@ -47,8 +47,8 @@ def test_preview_shows_both_cameras_and_ends_with_ctrl_c(preview) -> None:
     assert "main: 5 of 5 discs found" in line
     assert "corners in view found" in line
     assert b"<title>dcam preview</title>" in fetch(address)
-    told = json.loads(fetch(address + "look.json"))
-    main, sub = told["look"]["cameras"]["main"], told["look"]["cameras"]["sub"]
+    reported = json.loads(fetch(address + "look.json"))
+    main, sub = reported["look"]["cameras"]["main"], reported["look"]["cameras"]["sub"]
     assert main["found"] == "5 of 5 discs found"
     assert main["problems"] == []
     assert sum(sub["histogram"]) == 640 * 400

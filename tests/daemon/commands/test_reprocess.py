@@ -87,7 +87,7 @@ def remove(image: Path) -> None:
 
 @pytest.mark.parametrize("role", ["main", "sub"])
 @pytest.mark.parametrize(
-    ("damage", "flag", "reason", "told"),
+    ("damage", "flag", "reason", "reported"),
     [
         (colour, "4", "image_unreadable", "colour"),
         (truncate, "4", "image_unreadable", "truncated"),
@@ -97,7 +97,7 @@ def remove(image: Path) -> None:
     ],
 )
 def test_a_damaged_image_is_a_row_with_its_reason(
-    reprocess, own_set: Path, role: str, damage, flag: str, reason: str, told: str
+    reprocess, own_set: Path, role: str, damage, flag: str, reason: str, reported: str
 ) -> None:
     """Only its own row is touched, the value is withheld, and stderr says what is wrong."""
     frames = read_frame_set(own_set).rows_of("measure")
@@ -108,7 +108,7 @@ def test_a_damaged_image_is_a_row_with_its_reason(
     assert rows[1]["flag"] == flag
     assert f"{role}_{reason}" in rows[1]["reasons"].split("+")
     assert rows[1]["x_mm"] == rows[1]["y_mm"] == rows[1]["sigma_x_mm"] == ""
-    assert told in ran.err
+    assert reported in ran.err
     assert image.name in ran.err
     assert all(row["flag"] in {"1", "3"} for k, row in enumerate(rows) if k != 1)
 

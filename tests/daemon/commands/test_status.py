@@ -98,7 +98,7 @@ def test_slots_that_nothing_accounts_for_are_counted(site: Site) -> None:
 
 
 @pytest.mark.parametrize(
-    ("marks", "level", "told"),
+    ("marks", "level", "reported"),
     [
         ({}, "warning", "never ran here"),
         ({Mark.HEARTBEAT_UTC: START.isoformat()}, "critical", "died after 2026-03-01T00:00:00Z"),
@@ -110,13 +110,13 @@ def test_slots_that_nothing_accounts_for_are_counted(site: Site) -> None:
     ],
 )
 def test_a_daemon_that_does_not_run_is_told_apart(
-    site: Site, marks: dict[Mark, str], level: str, told: str
+    site: Site, marks: dict[Mark, str], level: str, reported: str
 ) -> None:
     for mark, value in marks.items():
         site.write(lambda store, m=mark, v=value: store.set_mark(m, v))
     ran = site.status(running=False)
     assert site.levels(ran)["daemon"] == level
-    assert told in ran.out
+    assert reported in ran.out
 
 
 def test_looking_does_not_take_the_lock_from_a_daemon_that_starts(site: Site) -> None:
@@ -171,8 +171,8 @@ def test_a_state_file_that_is_none_is_no_obstacle(site: Site, garbage: bytes) ->
 
 def test_a_camera_is_lost_from_the_moment_the_daemon_says_so(site: Site) -> None:
     ran = says(site, lost={"sub": LostCamera("2026-03-01T00:09:00Z", "sub camera: unplugged")})
-    told = "sub lost since slot 2026-03-01T00:09:00Z: sub camera: unplugged"
-    assert item(ran, "cameras") == ("critical", told)
+    reported = "sub lost since slot 2026-03-01T00:09:00Z: sub camera: unplugged"
+    assert item(ran, "cameras") == ("critical", reported)
     assert ran.code == 2
 
 
@@ -245,14 +245,14 @@ def test_no_calibration_is_critical(tmp_path: Path, ctl: Ctl) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     [({"config_hash": "0" * 64}, "config has changed"), ({"passed": False}, "did not pass")],
 )
-def test_a_doubtful_calibration_is_a_warning(site: Site, change, told: str) -> None:
+def test_a_doubtful_calibration_is_a_warning(site: Site, change, reported: str) -> None:
     site.calibrate(**change)
     ran = site.status()
     assert site.levels(ran)["calibration"] == "warning"
-    assert told in ran.out
+    assert reported in ran.out
 
 
 def test_without_a_database_it_is_unknown(ctl: Ctl, tmp_path: Path) -> None:

@@ -35,9 +35,9 @@ LOPSIDED = CONFIG.replace("[0.0, 0.0]", "[4.0, 3.0]")
 class Print:
     """One printed page."""
 
-    def __init__(self, directory: Path, told: dict) -> None:
-        self.told = told
-        page = pypdfium2.PdfDocument(directory / Path(told["file"]).name)[0]
+    def __init__(self, directory: Path, reported: dict) -> None:
+        self.described = reported
+        page = pypdfium2.PdfDocument(directory / Path(reported["file"]).name)[0]
         self.size_mm = np.array(page.get_size()) * 25.4 / 72.0
         self.text = page.get_textpage().get_text_range()
         self.pixels = np.asarray(page.render(scale=DPI / 72.0, grayscale=True).to_numpy())
@@ -77,7 +77,7 @@ def printed(ctl: Ctl, tmp_path: Path, config: str) -> dict[str, Print]:
     )
     assert ran.code == 0, ran.err
     files = json.loads(ran.out)["files"]
-    return {Path(told["file"]).stem: Print(tmp_path / "prints", told) for told in files}
+    return {Path(reported["file"]).stem: Print(tmp_path / "prints", reported) for reported in files}
 
 
 def site_of(tmp_path: Path):
@@ -106,7 +106,7 @@ def test_the_printed_board_is_the_one_the_software_finds(
     matrix, shift, miss_mm = similarity(board.corners_mm[located.view.index, :2], on_page)
     assert matrix == pytest.approx(np.eye(2), abs=5e-4)  # true pitch, upright, not mirrored
     assert miss_mm < 0.02
-    assert shift == pytest.approx(page.told["origin_mm"], abs=0.01)
+    assert shift == pytest.approx(page.described["origin_mm"], abs=0.01)
 
 
 def test_the_square_at_the_origin_is_black_and_the_board_stands_on_white(
@@ -114,7 +114,7 @@ def test_the_square_at_the_origin_is_black_and_the_board_stands_on_white(
 ) -> None:
     page = printed(ctl, tmp_path, CONFIG)["target-sub"]
     target: CheckerboardTarget = site_of(tmp_path).sub_target
-    x, y = page.told["origin_mm"]
+    x, y = page.described["origin_mm"]
     size = np.array([target.squares_x, target.squares_y]) * target.square_mm
 
     def grey(x_mm: float, y_mm: float) -> int:
@@ -144,7 +144,7 @@ def test_the_printed_discs_are_the_ones_the_software_finds(
     matrix, shift, miss_mm = similarity(target.centres_mm * [1.0, -1.0], on_page)
     assert matrix == pytest.approx(np.eye(2), abs=1e-3)
     assert miss_mm < 0.01
-    assert shift == pytest.approx(page.told["origin_mm"], abs=0.01)
+    assert shift == pytest.approx(page.described["origin_mm"], abs=0.01)
     for middle, diameter_mm in zip(on_page, target.diameters_mm, strict=True):
         low, high = ((middle + s * 0.75 * diameter_mm) * PX_PER_MM for s in (-1, 1))
         window = page.pixels[round(low[1]) : round(high[1]), round(low[0]) : round(high[0])]
@@ -155,8 +155,8 @@ def test_the_printed_discs_are_the_ones_the_software_finds(
 @pytest.mark.parametrize("name", ["target-main", "target-sub"])
 def test_rulers_are_true_in_both_directions(ctl: Ctl, tmp_path: Path, name: str) -> None:
     page = printed(ctl, tmp_path, CONFIG)[name]
-    assert {ruler["vertical"] for ruler in page.told["rulers"]} == {True, False}
-    for ruler in page.told["rulers"]:
+    assert {ruler["vertical"] for ruler in page.described["rulers"]} == {True, False}
+    for ruler in page.described["rulers"]:
         marks = page.marks_mm(ruler)
         assert ruler["length_mm"] >= 100.0
         assert len(marks) == ruler["length_mm"] + 1
@@ -179,13 +179,15 @@ def test_a_sheet_names_its_site_its_drawing_and_how_to_mount_it(ctl: Ctl, tmp_pa
 
 def test_the_page_fits_the_target(ctl: Ctl, tmp_path: Path) -> None:
     a4 = printed(ctl, tmp_path, CONFIG)["target-sub"]
-    assert a4.told["page"] == "A4"
+    assert a4.described["page"] == "A4"
     assert a4.size_mm == pytest.approx([210.0, 297.0], abs=0.01)
     a3 = printed(ctl, tmp_path, CONFIG.replace("square_mm = 2.0", "square_mm = 7.0"))["target-sub"]
-    assert a3.told["page"] == "A3"
+    assert a3.described["page"] == "A3"
     own = printed(ctl, tmp_path, CONFIG.replace("square_mm = 2.0", "square_mm = 14.0"))
     assert own["target-sub"].size_mm[0] > 32 * 14.0 + 20.0
-    assert own["target-sub"].size_mm == pytest.approx(own["target-sub"].told["page_mm"], abs=0.01)
+    assert own["target-sub"].size_mm == pytest.approx(
+        own["target-sub"].described["page_mm"], abs=0.01
+    )
 
 
 def test_a_directory_that_cannot_be_made_is_said_in_one_line(ctl: Ctl, tmp_path: Path) -> None:

@@ -164,16 +164,16 @@ def test_what_is_wrong_is_found_and_named(
     harm(site)
     ran = site.verify("--json")
     assert ran.code == 1
-    told = json.loads(ran.out)
-    assert (told["schema"], told["command"]) == (1, "verify")
-    found = [item for item in told["findings"] if item["what"] == what]
+    reported = json.loads(ran.out)
+    assert (reported["schema"], reported["command"]) == (1, "verify")
+    found = [item for item in reported["findings"] if item["what"] == what]
     assert [item["where"].endswith(where) and text in item["text"] for item in found] == [True]
-    assert all(item["todo"] for item in told["findings"])
+    assert all(item["todo"] for item in reported["findings"])
     lines = site.verify().out.splitlines(keepends=True)
-    number = len(told["findings"])
+    number = len(reported["findings"])
     verdict, *counts = counts_of("".join(lines[number:]))
     assert verdict == f"{number} finding(s)"
-    assert counts[:3] == [told["rows"], told["slots"], told["images"]]
+    assert counts[:3] == [reported["rows"], reported["slots"], reported["images"]]
 
 
 def test_a_slot_in_a_row_and_a_gap_is_found(site: Site) -> None:
@@ -181,8 +181,8 @@ def test_a_slot_in_a_row_and_a_gap_is_found(site: Site) -> None:
         "DROP TRIGGER gap_not_measured_update",
         "UPDATE gap SET start_utc = '2026-03-01T00:01:00Z', slots = 4",
     )
-    told = json.loads(site.verify("--json").out)["findings"]
-    doubled = [item["where"] for item in told if "accounted for twice" in item["text"]]
+    reported = json.loads(site.verify("--json").out)["findings"]
+    doubled = [item["where"] for item in reported if "accounted for twice" in item["text"]]
     assert doubled == ["2026-03-01T00:01:00Z", "2026-03-01T00:02:00Z"]
 
 
@@ -241,9 +241,9 @@ def test_frames_that_retention_removed_are_told_apart_from_lost_ones(site: Site)
     day = FrameDay(START.date(), Thinning.HOURLY, until_utc=slot(2), kept=frozenset({slot(2)}))
     with open_store(site.state) as store:
         store.put_frame_day(day)
-    told = json.loads(site.verify("--json").out)
-    assert told["slots_with_frames_removed"] == 1
-    (found,) = told["findings"]
+    reported = json.loads(site.verify("--json").out)
+    assert reported["slots_with_frames_removed"] == 1
+    (found,) = reported["findings"]
     assert found["where"] == f"{DAY}/000800_main.png"
 
 

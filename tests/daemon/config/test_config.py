@@ -84,8 +84,8 @@ def test_minimal_site_becomes_the_core_s_site(write) -> None:
 
 def test_the_lens_model_is_chosen_unless_told(write) -> None:
     assert load_config(write()).site().lens_model is None
-    told = ("focal_length_mm = 6.0", 'focal_length_mm = 6.0\nlens_model = "fisheye"')
-    assert load_config(write(told)).site().lens_model == "fisheye"
+    reported = ("focal_length_mm = 6.0", 'focal_length_mm = 6.0\nlens_model = "fisheye"')
+    assert load_config(write(reported)).site().lens_model == "fisheye"
 
 
 def test_a_lens_model_is_the_sub_camera_s_and_known(write) -> None:

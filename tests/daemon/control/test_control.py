@@ -120,13 +120,13 @@ def test_a_client_that_dies_lets_the_daemon_go_on(served: Served) -> None:
 
 def test_the_pause_waits_for_the_slot_in_progress(served: Served) -> None:
     """Between trigger and row nobody takes the cameras away."""
-    told = []
+    reported = []
     asking = threading.Event()
 
     def pause_now() -> None:
         asking.set()
         with paused_daemon(served.station.state, "calibration"):
-            told.append(served.station.minutes())
+            reported.append(served.station.minutes())
 
     client = threading.Thread(target=pause_now)
 
@@ -138,7 +138,7 @@ def test_the_pause_waits_for_the_slot_in_progress(served: Served) -> None:
     served.station.source.orders = {0: during_the_capture}
     served.runner.run(1)
     client.join(PATIENCE_S)
-    assert told == [[0]]
+    assert reported == [[0]]
 
 
 def test_a_second_pause_is_refused_and_says_who_has_it(served: Served) -> None:

@@ -37,7 +37,7 @@ def running(site: Site) -> Iterator[subprocess.Popen]:
     """A dcamd on the machine's clock, that ends in order."""
     process = site.start()
     try:
-        site.told(r"^STATUS=slot .* done")
+        site.notified(r"^STATUS=slot .* done")
         yield process
     finally:
         process.send_signal(signal.SIGTERM)
@@ -77,17 +77,17 @@ def test_a_reload_takes_effect_and_a_wrong_config_leaves_the_old_one(site: Site)
     with running(site) as process:
         site.configure(REAL_TIME + LOST)
         assert ctl(site, "reload").returncode == 0
-        site.told(r"^STATUS=slot .* missed: camera_lost$")
+        site.notified(r"^STATUS=slot .* missed: camera_lost$")
         site.configure(REAL_TIME.replace("period_s = 1", "period_s = -1"))
         refused = ctl(site, "reload")
         assert refused.returncode == 3
         assert "schedule.period_s: must be at least 1, is -1" in refused.stderr
         process.send_signal(signal.SIGHUP)
         while "event=reload_refused" not in site.log.read_text():
-            site.told(r"^STATUS=slot .* missed: camera_lost$")
+            site.notified(r"^STATUS=slot .* missed: camera_lost$")
         site.configure(REAL_TIME)
         process.send_signal(signal.SIGHUP)
-        site.told(r"^STATUS=slot .* done")
+        site.notified(r"^STATUS=slot .* done")
     with site.store() as store:
         assert unaccounted(store, period_s=1) == 0
         assert [event.kind for event in store.events(kind="reloaded")] == ["reloaded"] * 2
@@ -178,9 +178,12 @@ def test_what_the_daemon_could_not_do_fails_with_its_own_words_and_code(station)
         msg = "sub camera 42: unplugged"
         raise DeviceLostError(msg, "sub")
 
-    with served(station, lost), pytest.raises(DcamError, match="sub camera 42: unplugged") as told:
+    with (
+        served(station, lost),
+        pytest.raises(DcamError, match="sub camera 42: unplugged") as raised,
+    ):
         ask_daemon(station.state, "capture")
-    assert told.value.exit_code == 4
+    assert raised.value.exit_code == 4
 
 
 def test_a_thousand_who_want_a_look_get_one_and_delay_no_slot(station) -> None:

@@ -1,4 +1,4 @@
-"""systemd is told the state over the socket it names, by path or in the abstract namespace."""
+"""dcamd sends systemd its state over the socket it names, by path or in the abstract namespace."""
 
 import os
 import socket

@@ -90,9 +90,9 @@ def test_frames_thin_out_as_they_age_and_rows_stay(state: Path) -> None:
         assert kept(station) == {3: 1, 4: 24, 5: A_DAY}
         assert_told_apart(station)
         assert not (station.state / "frames/2026/03/01").exists()
-        told = [event.detail for event in station.store.events(kind="frames_removed")]
-        assert told[0].startswith("2026-03-01: 12 slots removed in all, 12 kept (hourly)")
-        assert len(told) == 3 + 3 + 2 + 1
+        reported = [event.detail for event in station.store.events(kind="frames_removed")]
+        assert reported[0].startswith("2026-03-01: 12 slots removed in all, 12 kept (hourly)")
+        assert len(reported) == 3 + 3 + 2 + 1
 
 
 def test_an_hours_pair_is_a_good_one_and_a_days_one_of_daylight(state: Path) -> None:
@@ -324,7 +324,7 @@ def test_no_file_is_begun_after_the_deadline(state: Path, monkeypatch: pytest.Mo
 
 
 def test_a_day_that_cannot_be_removed_stops_no_other(state: Path) -> None:
-    """Its directory is immutable, or the disk bad there: told once, not at each slot."""
+    """Its directory is immutable, or the disk bad there: reported once, not at each slot."""
     with stationed(state, KEEP_ALL) as station:
         filled(station, 4)
         bad = station.state / "frames/2026/03/01"
@@ -337,11 +337,11 @@ def test_a_day_that_cannot_be_removed_stops_no_other(state: Path) -> None:
                 unlink(path, missing_ok)
 
             patched.setattr(Path, "unlink", refuse)
-            told = Mock()
-            patched.setattr(retention_module, "_log", told)
+            reported = Mock()
+            patched.setattr(retention_module, "_log", reported)
             work_off(retention(station, SHRINKING), station)
         assert kept(station) == {1: A_DAY, 2: 1, 3: 24, 4: A_DAY}
-        assert [call.args for call in told.error.call_args_list] == [("day_not_thinned",)]
+        assert [call.args for call in reported.error.call_args_list] == [("day_not_thinned",)]
         work_off(retention(station, SHRINKING), station)
         assert kept(station) == {2: 1, 3: 24, 4: A_DAY}
 

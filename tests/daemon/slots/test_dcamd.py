@@ -69,7 +69,7 @@ class Site:
                 self.command(*more), cwd=ROOT, env=self.environ(), stderr=log, text=True
             )
 
-    def told(self, pattern: str) -> str:
+    def notified(self, pattern: str) -> str:
         """Wait until dcamd says something to its service manager."""
         while True:
             text = self.manager.recv(1000).decode()
@@ -103,10 +103,10 @@ def test_runs_its_slots_faster_than_time_and_ends(site: Site) -> None:
         '[[simulation.scenarios]]\nkind = "camera_loss"\nrole = "sub"\nstart_min = 3\nend_min = 6\n'
     )
     process = site.start("--max-slots", "8")
-    site.told(r"^READY=1$")
-    site.told(r"^STATUS=slot 2026-03-01T00:03:00Z missed: camera_lost$")
-    site.told(r"^STATUS=slot 2026-03-01T00:07:00Z done: bad$")
-    site.told(r"^STOPPING=1$")
+    site.notified(r"^READY=1$")
+    site.notified(r"^STATUS=slot 2026-03-01T00:03:00Z missed: camera_lost$")
+    site.notified(r"^STATUS=slot 2026-03-01T00:07:00Z done: bad$")
+    site.notified(r"^STOPPING=1$")
     assert process.wait(PATIENCE_S) == 0
     with site.store() as store:
         rows = store.measured_slots()
@@ -135,9 +135,9 @@ def test_simulated_time_goes_on_after_a_restart(site: Site) -> None:
 def test_signal_ends_the_slot_and_closes_cleanly(site: Site, number: signal.Signals) -> None:
     site.configure(REAL_TIME)
     process = site.start()
-    site.told(r"^STATUS=slot .* done")
+    site.notified(r"^STATUS=slot .* done")
     process.send_signal(number)
-    site.told(r"^STOPPING=1$")
+    site.notified(r"^STOPPING=1$")
     assert process.wait(PATIENCE_S) == 0
     log = site.log.read_text()
     with site.store() as store:
@@ -150,7 +150,7 @@ def test_second_dcamd_on_the_same_state_is_refused(site: Site) -> None:
     site.configure(REAL_TIME)
     first = site.start()
     try:
-        site.told(r"^READY=1$")
+        site.notified(r"^READY=1$")
         second = site.run("--max-slots", "1")
         assert second.returncode == 4
         (line,) = second.stderr.splitlines()
@@ -164,7 +164,7 @@ def test_killed_and_started_again_nothing_acknowledged_is_lost(site: Site) -> No
     site.configure(REAL_TIME)
     process = site.start()
     for _ in range(2):
-        site.told(r"^STATUS=slot .* done")
+        site.notified(r"^STATUS=slot .* done")
     process.kill()
     process.wait(PATIENCE_S)
     acknowledged = site.acknowledged(site.log.read_text())
@@ -190,7 +190,7 @@ def test_the_boot_that_systemd_names_tells_a_cut_from_a_crash(
     """A container is cut while the kernel below it goes on; systemd names both without dashes."""
     monkeypatch.setenv(BOOT_ID_VARIABLE, str(UUID("a" * 32)))
     process = site.start()
-    site.told(r"^STATUS=slot .* done")
+    site.notified(r"^STATUS=slot .* done")
     process.kill()
     process.wait(PATIENCE_S)
     monkeypatch.setenv(BOOT_ID_VARIABLE, second_boot)
@@ -223,16 +223,16 @@ def test_full_disk_never_ends_the_daemon(site: Site) -> None:
     """With nothing held back rows find no room either; all 30 slots are gone through."""
     site.configure("[retention]\nreserve_mb = 0\n")
     result = run_on_small_disk(site, 30)
-    told = re.findall(r"event=slot_(done|missed) slot=(\S+)(?: cause=(\w+))?", result.stderr)
-    assert len({slot for _, slot, _ in told}) == 30
-    assert {cause for event, _, cause in told if event == "missed"} == {"disk_full"}
+    reported = re.findall(r"event=slot_(done|missed) slot=(\S+)(?: cause=(\w+))?", result.stderr)
+    assert len({slot for _, slot, _ in reported}) == 30
+    assert {cause for event, _, cause in reported if event == "missed"} == {"disk_full"}
     assert result.stderr.count("event=frames_not_kept") == 1
     assert result.returncode == 5
     assert result.stderr.splitlines()[-1].startswith("dcamd: error: ")
 
 
 def test_small_disk_costs_the_frames_and_no_row(site: Site) -> None:
-    """As long as what rows need is not free, no frame is kept; it is told once."""
+    """As long as what rows need is not free, no frame is kept; it is reported once."""
     result = run_on_small_disk(site, 30)
     assert result.returncode == 0, result.stderr
     assert len(site.acknowledged(result.stderr)) == 30

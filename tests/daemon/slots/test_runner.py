@@ -72,7 +72,7 @@ def test_what_is_late_already_is_not_taken_again(station) -> None:
 
 
 def test_slots_that_fail_for_an_unexpected_reason_end_the_process(station) -> None:
-    """Three in a row; one that went well between them begins the count anew."""
+    """Three in a row; one that went well between them begins the count again."""
     bug = raising(RuntimeError("a bug in a driver"))
     with pytest.raises(ProcessSpentError, match="3 slot") as ended:
         station.run(9, {1: bug, 2: bug, 4: bug, 5: bug, 6: bug})

@@ -53,7 +53,7 @@ def site(tmp_path: Path):
 
 
 def heard(site: Site, process: subprocess.Popen) -> list[str]:
-    """All that dcamd told its service manager until it ended."""
+    """All that dcamd sent to its service manager until it ended."""
     said = []
     while not said or said[-1] != "STOPPING=1":
         said.append(site.manager.recv(1000).decode())
@@ -62,7 +62,7 @@ def heard(site: Site, process: subprocess.Popen) -> list[str]:
 
 
 def test_every_slot_feeds_the_watchdog_once_and_nothing_else_does(site: Site, monkeypatch) -> None:
-    """Rows and missed slots alike; and the watchdog is told first how long a slot may take."""
+    """Rows and missed slots alike; and the watchdog first learns how long a slot may take."""
     site.configure(
         '[[simulation.scenarios]]\nkind = "camera_loss"\nrole = "sub"\nstart_min = 1\nend_min = 3\n'
     )
@@ -99,7 +99,7 @@ def test_a_slot_that_hangs_feeds_nothing_and_its_pair_is_measured_after_the_abor
         )
     with process:
         assert process.stdout.readline() == "hangs\n"
-        site.told(r"^WATCHDOG=1$")  # of the first slot
+        site.notified(r"^WATCHDOG=1$")  # of the first slot
         site.manager.settimeout(1.0)
         with pytest.raises(TimeoutError):
             site.manager.recv(1000)
@@ -149,7 +149,7 @@ def test_status_tells_what_dcamd_says_until_it_is_killed(site: Site) -> None:
         REAL_TIME + '[[simulation.scenarios]]\nkind = "camera_loss"\nrole = "sub"\nstart_min = 0\n'
     )
     process = site.start()
-    site.told(r"^STATUS=slot .* missed: camera_lost$")
+    site.notified(r"^STATUS=slot .* missed: camera_lost$")
     found = status(site)
     texts = {item["name"]: item["text"] for item in found["items"]}
     assert found["daemon"]["says"]["pid"] == process.pid

@@ -1,4 +1,4 @@
-"""Damage: told, set aside, never deleted; what proves itself is carried over, nothing else is."""
+"""Damage: named, set aside, never deleted; what proves itself is carried over, nothing else is."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Row = tuple[object, ...]
 
 
 def rows_of(path: Path) -> dict[str, set[Row]]:
-    """Each table's rows, past the program; gaps without the number that they are given anew."""
+    """Each table's rows, past the program; gaps without the number that they are given again."""
     with closing(sqlite3.connect(path)) as connection:
         found = {table: set(connection.execute(f"SELECT * FROM {table}")) for table in EVERYTHING}
     found["gap"] = {row[1:-1] for row in found["gap"]}
@@ -79,7 +79,7 @@ def zero(size: int) -> Callable[[bytearray, int, random.Random], None]:
 
 
 def opened_and_read(state: Path) -> None:
-    """As the daemon's life: started anew, with a note, when it meets damage while it reads."""
+    """As the daemon's life: started again, with a note, when it meets damage while it reads."""
     for _ in range(2):
         try:
             with open_checked_store(state) as store, damage_noted(store):
@@ -182,13 +182,13 @@ def test_everything_that_is_whole_is_carried_over(state: Path, sound: Path) -> N
         active = store.active_calibration()
         assert active is not None
         assert active.id == 2
-        told = store.events(kind="database_salvaged")[0].detail
+        reported = store.events(kind="database_salvaged")[0].detail
         (aside,) = databases_set_aside(state)
-        assert told == (
+        assert reported == (
             f"not a SQLite database; set aside as {aside.name}; "
             "kept 120 rows, 6 gaps, 2 calibrations; no row before the last one kept is missing"
         )
-        assert store.get_mark(Mark.SALVAGED) == told
+        assert store.get_mark(Mark.SALVAGED) == reported
     assert open_checked_store(state).damage is None
     assert len(databases_set_aside(state)) == 1
 

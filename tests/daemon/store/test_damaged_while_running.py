@@ -1,4 +1,4 @@
-"""A damaged database, as the operator of a running site meets it: told, and slots go on."""
+"""A damaged database, as the operator of a running site meets it: reported, and slots go on."""
 
 import re
 import shutil
@@ -89,7 +89,7 @@ def test_damage_met_while_it_runs_ends_dcamd_and_the_next_start_saves_the_rest(s
     with site.store() as store:
         store.add_calibration(calibration(), activate=True)
     process = site.start()
-    site.told(r"^STATUS=slot .* done")
+    site.notified(r"^STATUS=slot .* done")
     change(
         site,
         "DROP TRIGGER calibration_no_update",
@@ -99,8 +99,8 @@ def test_damage_met_while_it_runs_ends_dcamd_and_the_next_start_saves_the_rest(s
     assert process.wait(PATIENCE_S) == 5
 
     log = site.log.read_text()
-    (told,) = [line for line in log.splitlines() if line.startswith("dcamd: error: ")]
-    assert "dcam.db: damaged (a row of calibration, id 1, is not what was written)" in told
+    (reported,) = [line for line in log.splitlines() if line.startswith("dcamd: error: ")]
+    assert "dcam.db: damaged (a row of calibration, id 1, is not what was written)" in reported
     acknowledged = site.acknowledged(log)
     result = site.run("--max-slots", "1")
     assert result.returncode == 0, result.stderr
@@ -117,7 +117,7 @@ def test_a_database_that_loses_its_name_while_it_is_open_loses_no_row(site: Site
     site.configure(REAL_TIME)
     assert site.run("--max-slots", "1").returncode == 0
     process = site.start()
-    site.told(r"^STATUS=slot .* done")
+    site.notified(r"^STATUS=slot .* done")
     database = site.state / "dcam.db"
     if how == "renamed":
         database.rename(site.state / "moved-away.db")

@@ -104,10 +104,12 @@ def test_a_changed_row_is_an_error_and_no_value(state: Path, change: str, named:
         connection.commit()
     with (
         open_store_readonly(state) as store,
-        pytest.raises(DatabaseDamagedError, match=r"dcam\.db: damaged \(.*: restart dcamd") as told,
+        pytest.raises(
+            DatabaseDamagedError, match=r"dcam\.db: damaged \(.*: restart dcamd"
+        ) as raised,
     ):
         read_all(store)
-    assert named in str(told.value)
+    assert named in str(raised.value)
 
 
 def test_rows_of_an_older_version_are_signed_as_they_stand(state: Path, tmp_path: Path) -> None:

@@ -128,5 +128,5 @@ def test_frames_then_line_then_row_then_acknowledgement(tmp_path: Path) -> None:
     for pattern in wanted:
         assert any(re.search(pattern, line) for line in lines), f"not in this order: {pattern}"
     everything = trace.read_text().splitlines()
-    (told,) = (at for at, line in enumerate(everything) if '"state 0' in line)
-    assert re.search(r"f(data)?sync\(.*dcam\.db-wal>", everything[told - 1])
+    (reported,) = (at for at, line in enumerate(everything) if '"state 0' in line)
+    assert re.search(r"f(data)?sync\(.*dcam\.db-wal>", everything[reported - 1])

@@ -203,14 +203,16 @@ def test_a_failing_migration_changes_nothing(
     next_version(tmp_path, monkeypatch, then=failing[0])
     before = tables(state / "dcam.db")
     for _ in range(2):
-        with pytest.raises(StoreError) as told:
+        with pytest.raises(StoreError) as raised:
             open_store(state, now_utc=NOW)
-        assert str(told.value).startswith(f"{state}/dcam.db: cannot be brought to revision next (")
-        assert failing[1] in str(told.value)
-        assert str(told.value).endswith(
+        assert str(raised.value).startswith(
+            f"{state}/dcam.db: cannot be brought to revision next ("
+        )
+        assert failing[1] in str(raised.value)
+        assert str(raised.value).endswith(
             "; nothing was changed: install the version before again, and report this"
         )
-        assert "\n" not in str(told.value)
+        assert "\n" not in str(raised.value)
     assert tables(state / "dcam.db") == before
     assert [path.name for path in state.iterdir()] == ["dcam.db"]
     monkeypatch.undo()

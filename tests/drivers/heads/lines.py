@@ -71,7 +71,7 @@ class MachineLine:
 
 
 class Recorder:
-    """A machine, and all that it was ever told; implements `HeadMachine`."""
+    """A machine, and all that it ever received; implements `HeadMachine`."""
 
     def __init__(self, machine: HeadMachine) -> None:
         self._machine = machine

@@ -1,4 +1,4 @@
-"""The axis of a simulated head obeys its speed and acceleration, whatever it is told and when."""
+"""The axis of a simulated head obeys its speed and acceleration, whatever it is asked and when."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ REPORT = HeadReport("a head", (12.0, -4.0), None, None)
 
 
 class Head:
-    """Goes where it is told, in its own angles, if it knows where it is."""
+    """Goes where it is sent, in its own angles, if it knows where it is."""
 
     def __init__(self, *, reports_position: bool = True) -> None:
         self.reports_position = reports_position

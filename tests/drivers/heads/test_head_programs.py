@@ -42,7 +42,7 @@ def simulated_head(directory: Path, *options: str) -> Iterator[subprocess.Popen[
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         try:
-            assert select.select([process.stdout], [], [], 3 * PATIENCE_S)[0], "no port was told"
+            assert select.select([process.stdout], [], [], 3 * PATIENCE_S)[0], "no port was named"
             assert process.stdout.readline().strip() == str(directory / "head")
             yield process
         finally:
@@ -130,8 +130,8 @@ def test_a_name_that_is_not_its_own_is_left_alone(
     notes.write_text("not a head")
     command = ["simulate", "head", "--protocol", "ptu", option, asked]
     assert run(cli, "dcam-ctl", command) == 2
-    (told,) = capfd.readouterr().err.splitlines()
-    assert told.startswith(f"dcam-ctl: error: {option} {asked}: ")
+    (reported,) = capfd.readouterr().err.splitlines()
+    assert reported.startswith(f"dcam-ctl: error: {option} {asked}: ")
     assert notes.read_text() == "not a head"
 
 
@@ -158,11 +158,11 @@ def test_a_frame_taken_on_the_way_shows_where_the_head_was_then(tmp_path: Path) 
     world = World(site(), SimSettings(scenarios=()))
     camera = SimulatedCamera(world, "sub", Still())
     with simulated_head(tmp_path, "--protocol", "ptu"):
-        asker, told = AnglesAsker(tmp_path / "angles"), []
+        asker, reported = AnglesAsker(tmp_path / "angles"), []
 
         def remembered() -> tuple[float, float]:
-            told.append(asker())
-            return told[-1]
+            reported.append(asker())
+            return reported[-1]
 
         world.follow_head(remembered)
         line = SerialLine(str(tmp_path / "head"), 9600)
@@ -172,7 +172,7 @@ def test_a_frame_taken_on_the_way_shows_where_the_head_was_then(tmp_path: Path) 
         camera.open()
         camera.arm()
         camera.trigger()
-        then = told[-1]
+        then = reported[-1]
         wait_for(lambda: asker()[0] > 0.99, "the head to arrive")
         shown = camera.fetch(1.0).pixels
         line.close()

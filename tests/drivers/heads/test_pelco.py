@@ -173,7 +173,7 @@ def test_noise_is_lived_with(seed: int) -> None:
 
 def test_a_head_that_rests_a_little_beside_is_near_enough() -> None:
     class Coarse(PelcoMachine):
-        """Comes to rest 0.04 deg short, whatever it is told."""
+        """Comes to rest 0.04 deg short, whatever it is asked."""
 
         def _angle(self, command: int, angle_deg: float) -> bytes:
             return super()._angle(command, angle_deg - 0.04)

@@ -1,7 +1,7 @@
 """A client that nobody here wrote drives the simulated ASCII unit through its port: `rotctl`.
 
 Hamlib knows such units from 4.6 on (model 2501, rotators/flir). Where its program is not installed,
-or is older, the same conversation is held here; which of the two it was is told after the tests.
+or is older, the same conversation is held here; which of the two it was is said after the tests.
 """
 
 from __future__ import annotations

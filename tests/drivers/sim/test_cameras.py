@@ -61,7 +61,7 @@ def test_a_closed_camera_gives_nothing() -> None:
 
 
 def test_a_lost_camera_comes_back_when_opened() -> None:
-    """During its window the one camera is gone, and stays gone until it is opened anew."""
+    """During its window the one camera is gone, and stays gone until it is opened again."""
     world = _world(Scenario("camera_loss", 5, 10, role="main"))
     (main, clock), (sub, _) = _camera(world), _camera(world, "sub")
     main.open()
@@ -142,7 +142,7 @@ def _both(*scenarios: Scenario) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_night_is_dark() -> None:
-    """At night no grey value reaches a tenth of the range; for one camera only if so told."""
+    """At night no grey value reaches a tenth of the range; for one camera only if asked."""
     main, sub = _both(Scenario("night"))
     assert max(main.max(), sub.max()) < 25
     main, sub = _both(Scenario("night", role="main"))
