@@ -139,7 +139,7 @@ class SynchronizedPair:
         return results
 
 
-def _told(error: BaseException) -> str:
+def _as_text(error: BaseException) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 
@@ -210,7 +210,7 @@ class _Lane:
         try:
             self._camera.close()
         except Exception as error:  # noqa: BLE001 - whatever a vendor's library throws
-            _log.warning("camera_not_closed", serial=self._camera.serial, error=_told(error))
+            _log.warning("camera_not_closed", serial=self._camera.serial, error=_as_text(error))
 
     def _new(self, found: object) -> CapturedFrame:
         """Give the frame if it is whole and was not seen before."""
@@ -262,8 +262,8 @@ class _Lane:
             raise
         except BaseException as error:
             # No more than this attempt, whatever a library throws. What state it is in, who knows.
-            msg = f"{self._role} camera {self._camera.serial}: its driver broke ({_told(error)})"
-            _log.error("driver_broke", serial=self._camera.serial, error=_told(error))
+            msg = f"{self._role} camera {self._camera.serial}: its driver broke ({_as_text(error)})"
+            _log.error("driver_broke", serial=self._camera.serial, error=_as_text(error))
             self._give_up(msg)
             raise DeviceError(msg, self._role) from error
         if isinstance(result, CapturedFrame):

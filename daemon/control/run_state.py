@@ -58,7 +58,7 @@ class RunState:
     period_s: int | None = None
     patience_s: float | None = None
     """A cycle that takes longer than this hangs."""
-    told_s: float = 0.0
+    reported_s: float = 0.0
     """Seconds since the boot at which this was written."""
     last: LastSlot | None = None
     failed_in_a_row: int = 0
@@ -104,7 +104,7 @@ def _understood(found: dict[str, Any]) -> RunState:
         role: LostCamera(str(lost["since"]), str(lost["error"]))
         for role, lost in known.get("lost", {}).items()
     }
-    known["told_s"] = float(known["told_s"])
+    known["reported_s"] = float(known["reported_s"])
     known["failed_in_a_row"] = int(known["failed_in_a_row"])
     return RunState(**known | {"pid": int(known["pid"])})
 

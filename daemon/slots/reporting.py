@@ -121,7 +121,7 @@ class Reporter:
 
     def _tell(self, **changes: object) -> None:
         with self._lock:
-            self._state = replace(self._state, told_s=uptime_s(), **changes)  # type: ignore[arg-type]
+            self._state = replace(self._state, reported_s=uptime_s(), **changes)  # type: ignore[arg-type]
             if self._directory is None:
                 return
             try:

@@ -153,7 +153,7 @@ def _daemon(overview: Overview, state: Path, now_utc: datetime) -> Daemon:
         clean_stop_utc=_mark_time(overview, Mark.CLEAN_STOP_UTC),
         starts_24h=overview.events("started", now_utc - DAY),
         says=says,
-        silent_s=uptime_s() - says.told_s if says else 0.0,
+        silent_s=uptime_s() - says.reported_s if says else 0.0,
     )
 
 

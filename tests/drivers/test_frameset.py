@@ -266,7 +266,7 @@ def test_unusable_image_is_named(tmp_path: Path, data: bytes, line: str) -> None
         read_image(tmp_path / "a.png")
 
 
-def test_missing_image_is_told_from_a_damaged_one(tmp_path: Path) -> None:
+def test_missing_image_is_distinguished_from_a_damaged_one(tmp_path: Path) -> None:
     """A file that is not there raises its own class, so that a row can say so."""
     frames = read_frame_set(_table(tmp_path, *ROWS))
     with pytest.raises(ImageMissingError, match=r"0000_sub\.png: not there"):

@@ -130,7 +130,9 @@ def test_both_are_armed_then_triggered_from_two_threads(rig: Rig) -> None:
     assert rig.main.calls[-1] == rig.sub.calls[-1] == "close"
 
 
-def test_an_exposure_is_told_once_before_arming_and_again_to_a_camera_opened_anew(rig: Rig) -> None:
+def test_an_exposure_is_set_once_before_arming_and_again_to_a_camera_opened_again(
+    rig: Rig,
+) -> None:
     rig.pair.set_exposure("sub", 800.0, None)
     rig.pair.capture(SLOT)
     rig.pair.set_exposure("sub", 400.0, 6.0)
@@ -166,7 +168,7 @@ def test_nothing_is_exposed_unless_both_are_ready(rig: Rig) -> None:
     assert rig.main.calls == ["open", "arm"]
 
 
-def test_a_lost_camera_is_left_alone_and_then_opened_anew(rig: Rig) -> None:
+def test_a_lost_camera_is_left_alone_and_then_opened_again(rig: Rig) -> None:
     """After a loss the camera is closed, not touched during the pause, then opened and used."""
     rig.pair.capture(SLOT)
     rig.main.on["trigger"] = _raise(DeviceLostError("camera M1: control lost"))
@@ -292,7 +294,7 @@ def test_close_does_not_wait_for_a_hung_camera(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError("a bug"), SystemExit("over")])
-def test_a_driver_that_breaks_is_named_and_opened_anew(rig: Rig, error: Exception) -> None:
+def test_a_driver_that_breaks_is_named_and_opened_again(rig: Rig, error: Exception) -> None:
     """What is no device's error costs this attempt; both cameras have ended theirs by then."""
     fetched = threading.Event()
     rig.main.on["trigger"] = _raise(error)
@@ -337,7 +339,7 @@ def test_what_waits_behind_a_hung_call_is_not_made_any_more(rig: Rig) -> None:
     rig.pair.capture(SLOT)
 
 
-def test_a_camera_that_hangs_when_told_to_close_says_so(rig: Rig) -> None:
+def test_a_camera_that_hangs_when_asked_to_close_says_so(rig: Rig) -> None:
     rig.pair.capture(SLOT)
     rig.sub.on["close"] = rig.sub.hang.block
     rig.pair.close()

@@ -122,7 +122,7 @@ def test_without_receivers_one_line_and_all_is_well(site: Site) -> None:
     assert not (site.state / "alarm.json").exists()
 
 
-def test_a_dead_daemon_is_told_once_again_while_it_lasts_and_when_it_is_over(
+def test_a_dead_daemon_is_reported_once_again_while_it_lasts_and_when_it_is_over(
     site: Site, inbox: Inbox
 ) -> None:
     configure(site, f"command = {inbox.command}\nrepeat_h = 0.5")
@@ -154,9 +154,9 @@ def test_a_dead_daemon_is_told_once_again_while_it_lasts_and_when_it_is_over(
     assert inbox.titles()[2:] == ["dcam bench: all well again"]
 
 
-def test_a_daemon_that_hangs_and_data_that_stopped_are_told(site: Site, inbox: Inbox) -> None:
+def test_a_daemon_that_hangs_and_data_that_stopped_are_reported(site: Site, inbox: Inbox) -> None:
     state = RunState(os.getpid(), read_boot_id(), "1.0", "", "running", patience_s=300.0)
-    write_run_state(site.state, replace(state, told_s=uptime_s() - 3600))
+    write_run_state(site.state, replace(state, reported_s=uptime_s() - 3600))
     for late in (30 * MINUTE, 45 * MINUTE):
         look(site, late=late)
     (message,) = inbox.messages()
@@ -165,7 +165,7 @@ def test_a_daemon_that_hangs_and_data_that_stopped_are_told(site: Site, inbox: I
     assert "measurement: critical since" in message
 
 
-def test_what_passes_in_time_is_not_told(site: Site, inbox: Inbox) -> None:
+def test_what_passes_in_time_is_not_reported(site: Site, inbox: Inbox) -> None:
     die(site)
     look(site, running=False)
     site.measure(10)
@@ -175,7 +175,7 @@ def test_what_passes_in_time_is_not_told(site: Site, inbox: Inbox) -> None:
     assert inbox.messages() == []
 
 
-def test_a_warning_is_told_only_where_the_config_says_so_and_once_more_if_it_gets_worse(
+def test_a_warning_is_reported_only_where_the_config_says_so_and_once_more_if_it_gets_worse(
     site: Site, inbox: Inbox
 ) -> None:
     site.measure(200, GOOD, frame=None)  # a warning
@@ -191,7 +191,7 @@ def test_a_warning_is_told_only_where_the_config_says_so_and_once_more_if_it_get
     assert inbox.titles()[1:] == ["dcam bench: WARNING", "dcam bench: CRITICAL"]
 
 
-def test_a_message_that_is_refused_is_told_on_stderr_and_sent_at_the_next_look(
+def test_a_message_that_is_refused_is_reported_on_stderr_and_sent_at_the_next_look(
     site: Site, inbox: Inbox
 ) -> None:
     configure(site, f"command = {inbox.command}\nafter_min = 0")
@@ -209,7 +209,7 @@ def test_a_message_that_is_refused_is_told_on_stderr_and_sent_at_the_next_look(
     assert inbox.titles() == ["dcam bench: CRITICAL"]
 
 
-def test_of_two_receivers_only_the_one_that_refused_is_told_again(
+def test_of_two_receivers_only_the_one_that_refused_is_notified_again(
     site: Site, inbox: Inbox, mailbox: Mailbox
 ) -> None:
     configure(site, f'urls = ["{mailbox.url}"]\ncommand = {inbox.command}\nafter_min = 0')
@@ -222,7 +222,7 @@ def test_of_two_receivers_only_the_one_that_refused_is_told_again(
     assert [message["title"] for message in mailbox.messages] == ["dcam bench: CRITICAL"] * 2
 
 
-def test_a_broken_memory_is_told_and_begun_anew(site: Site, inbox: Inbox) -> None:
+def test_a_broken_memory_is_reported_and_begun_again(site: Site, inbox: Inbox) -> None:
     configure(site, f"command = {inbox.command}\nafter_min = 0")
     die(site)
     for garbage in (b"", b"{", b"[]", b'{"since": {"daemon": 7}}', b"\xff"):
@@ -233,7 +233,7 @@ def test_a_broken_memory_is_told_and_begun_anew(site: Site, inbox: Inbox) -> Non
     assert len(inbox.messages()) == 5
 
 
-def test_a_disk_that_refuses_the_memory_is_told_of_once_per_boot(
+def test_a_disk_that_refuses_the_memory_is_reported_once_per_boot(
     site: Site, inbox: Inbox, tmp_path: Path, monkeypatch
 ) -> None:
     """A directory stands where the memory belongs: not even root can write a file over it."""
@@ -280,7 +280,7 @@ def test_a_clock_that_is_set_back_neither_silences_nor_repeats(site: Site, inbox
         (lambda site: configure_wrongly(site, "kind =", "kind = ="), "not valid TOML"),
     ],
 )
-def test_a_site_of_which_nothing_can_be_known_is_told(
+def test_a_site_of_which_nothing_can_be_known_is_reported(
     site: Site, inbox: Inbox, damage: Callable[[Site], object], reported: str
 ) -> None:
     """A database that is none, a config that is wrong: its [alarm] is read all the same."""
@@ -304,7 +304,7 @@ def test_an_alarm_section_that_is_wrong_is_a_config_error(site: Site) -> None:
     assert "alarm.level" in ran.err
 
 
-def test_what_was_told_is_still_known_while_nothing_can_be(site: Site, inbox: Inbox) -> None:
+def test_what_was_reported_is_still_known_while_nothing_can_be(site: Site, inbox: Inbox) -> None:
     """A config that is wrong for a while is reported; the dead daemon not once more after it."""
     configure(site, f"command = {inbox.command}\nafter_min = 0")
     die(site)

@@ -54,7 +54,7 @@ def test_a_program_reads_rows_and_size(running: Store, ctl: Ctl, tmp_path: Path)
     assert reported["last_slot_utc"] == "2026-03-01T00:39:00Z"
 
 
-def test_rows_written_meanwhile_neither_wait_nor_begin_the_copy_anew(
+def test_rows_written_meanwhile_neither_wait_nor_begin_the_copy_again(
     running: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A slot ends between any two steps; the copy goes on and shows the moment of its beginning."""
@@ -108,7 +108,7 @@ def test_a_database_in_use_and_a_directory_are_refused_even_with_force(
     assert "not a file" in ctl(*command, link).err
 
 
-def test_a_damaged_original_is_told_and_the_older_backup_stays(
+def test_a_damaged_original_is_reported_and_the_older_backup_stays(
     running: Store, ctl: Ctl, tmp_path: Path
 ) -> None:
     state, copy = running.path.parent, tmp_path / "copy.db"
@@ -131,7 +131,7 @@ def test_a_damaged_original_is_told_and_the_older_backup_stays(
     assert {path.name for path in tmp_path.iterdir()} == {"state", "copy.db"}
 
 
-def test_a_full_disk_is_told_and_the_older_backup_stays(running: Store, tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_and_the_older_backup_stays(running: Store, tmp_path: Path) -> None:
     (tmp_path / "disk").mkdir()
     script = (
         'mount -t tmpfs -o size=150k tmpfs "$0" || exit 77; older="$1"; shift;'

@@ -122,7 +122,9 @@ def test_it_goes_on_until_the_views_are_enough_and_says_so(
     assert result["lens_sigma"][0] < 0.002 * true_focal_px
 
 
-def test_too_few_views_are_told_with_what_is_missing(ctl: Ctl, bench: Path, tmp_path: Path) -> None:
+def test_too_few_views_are_reported_with_what_is_missing(
+    ctl: Ctl, bench: Path, tmp_path: Path
+) -> None:
     """Of a set's lens views all but four are gone, and one image is damaged."""
     shutil.copytree(bench / "set", tmp_path / "set")
     lens = read_frame_set(tmp_path / "set").rows_of("intrinsics")[:5]
@@ -262,7 +264,7 @@ def test_what_is_for_the_head_is_refused_with_the_board_in_the_hand(
     assert "go with --pan-tilt" in ran.err
 
 
-def test_a_real_rig_without_lens_views_is_told_to_take_them(ctl: Ctl, tmp_path: Path) -> None:
+def test_a_real_rig_without_lens_views_is_asked_to_take_them(ctl: Ctl, tmp_path: Path) -> None:
     config = tmp_path / "dcam.toml"
     text = SIMULATED.replace('"simulated"', '"aravis"')
     for serial in ("111", "222"):

@@ -196,7 +196,7 @@ def test_the_light_is_settled_first_and_then_left_alone(config: Path, tmp_path: 
     assert {role: (us, db) for role, us, db in again.exposures} == settled
 
 
-def test_a_target_at_the_edge_of_its_image_is_told_before_anything_moves(config: Path) -> None:
+def test_a_target_at_the_edge_of_its_image_is_reported_before_anything_moves(config: Path) -> None:
     site = load_config(config).site()
     world = World(site, SimSettings(seed=1))
     image = GreyImage(world.render("main", BEGIN))
@@ -244,7 +244,7 @@ def test_nothing_is_begun_while_a_target_is_not_well_seen(config: Path, tmp_path
     assert made.halted == 1
 
 
-def test_a_dark_board_is_told_with_what_to_do(config: Path, tmp_path: Path) -> None:
+def test_a_dark_board_is_reported_with_what_to_do(config: Path, tmp_path: Path) -> None:
     made = watched(config)
 
     def darker(_number: int, pair: CapturedPair) -> CapturedPair:

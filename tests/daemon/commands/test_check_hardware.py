@@ -122,7 +122,7 @@ def test_nothing_is_wrong_with_a_computer_in_order(check, computer: Computer) ->
         ("sys/class/rtc/rtc0/since_epoch", 0, "battery clock", "hwclock --systohc"),
     ],
 )
-def test_what_is_wrong_with_the_computer_is_told_with_its_cure(
+def test_what_is_wrong_with_the_computer_is_reported_with_its_cure(
     check, computer: Computer, file: str, says: object, name: str, cure: str
 ) -> None:
     computer.says(file, says)
@@ -173,7 +173,7 @@ def test_usb_memory_of_the_kernel_is_too_small_for_two_cameras(check, computer: 
         ("power/control", "auto", "main usb power", "echo on > /sys/bus/usb/devices/2-1/power"),
     ],
 )
-def test_what_is_wrong_with_a_usb_camera_is_told_with_its_cure(
+def test_what_is_wrong_with_a_usb_camera_is_reported_with_its_cure(
     check, computer: Computer, attribute: str, says: object, name: str, cure: str
 ) -> None:
     folder = computer.plug_in("2-1", "15290000", device=3)
@@ -244,7 +244,7 @@ def test_gige_cameras_in_order(check, computer: Computer, monkeypatch: pytest.Mo
         ("proc/net/route", "Iface", "sub link", "give an interface an address"),
     ],
 )
-def test_what_is_wrong_with_the_network_is_told_with_its_cure(
+def test_what_is_wrong_with_the_network_is_reported_with_its_cure(
     check,
     computer: Computer,
     monkeypatch: pytest.MonkeyPatch,
@@ -260,7 +260,7 @@ def test_what_is_wrong_with_the_network_is_told_with_its_cure(
     assert cure in found[name][1]
 
 
-def test_a_disk_too_slow_for_the_period_is_told(
+def test_a_disk_too_slow_for_the_period_is_reported(
     check, computer: Computer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each look at the clock comes a second later, so that a pair takes one."""

@@ -180,7 +180,7 @@ def test_check_tells_what_is_and_what_to_do(ctl: Ctl, tmp_path: Path) -> None:
         ('command = ["/bin/true", "secret"]', 0, "ok       tells command of what is critical"),
     ],
 )
-def test_check_says_who_is_told_and_never_repeats_a_secret(
+def test_check_says_who_is_notified_and_never_repeats_a_secret(
     ctl: Ctl, tmp_path: Path, alarm: str, code: int, said: str
 ) -> None:
     (tmp_path / "dcam.toml").write_text(f"{CONFIG}\n[alarm]\n{alarm}\n")

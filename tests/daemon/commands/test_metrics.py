@@ -101,7 +101,7 @@ def test_what_is_not_known_has_no_line_and_a_dead_daemon_is_down(site: Site) -> 
     assert value(found, "last_good_slot_timestamp_seconds") == behind
 
 
-def test_temperature_and_exposure_of_each_camera_are_told(site: Site) -> None:
+def test_temperature_and_exposure_of_each_camera_are_reported(site: Site) -> None:
     site.measure(1, main_camera=CameraState(5000.0, 1.5, 41.5), sub_camera=CameraState(250.0))
     found = read(metrics(site).out)
     assert value(found, "camera_temperature_celsius", camera="main") == 41.5
@@ -134,7 +134,9 @@ def test_a_site_that_cannot_be_looked_at_leaves_no_old_figures(site: Site, tmp_p
     assert value(read(file.read_text()), "level") == 3
 
 
-def test_an_output_that_cannot_be_made_is_told_by_its_directory(site: Site, tmp_path: Path) -> None:
+def test_an_output_that_cannot_be_made_is_reported_by_its_directory(
+    site: Site, tmp_path: Path
+) -> None:
     ran = metrics(site, "--output", tmp_path / "nowhere" / "dcam.prom")
     assert ran.code == 4
     assert f"{tmp_path / 'nowhere'}: No such file or directory" in ran.err

@@ -174,7 +174,7 @@ def test_without_a_calibration_it_says_how_to_get_one(
     assert len(ran.err.splitlines()) == 1
 
 
-def test_a_calibration_that_is_not_there_is_told_with_those_that_are(
+def test_a_calibration_that_is_not_there_is_reported_with_those_that_are(
     ctl: Ctl, bench: Path, calibrated: Path
 ) -> None:
     ran = ctl(
@@ -206,7 +206,7 @@ def test_a_config_that_changed_since_the_calibration_is_warned_of(
     assert "the config has changed since calibration 1" in ran.err
 
 
-def test_set_without_measure_rows_is_told(
+def test_set_without_measure_rows_is_reported(
     ctl: Ctl, bench: Path, calibrated: Path, own_set: Path
 ) -> None:
     edit_table(own_set, lambda lines: [line for line in lines if "measure" not in line])

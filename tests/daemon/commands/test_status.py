@@ -109,7 +109,7 @@ def test_slots_that_nothing_accounts_for_are_counted(site: Site) -> None:
         ),
     ],
 )
-def test_a_daemon_that_does_not_run_is_told_apart(
+def test_a_daemon_that_does_not_run_is_a_state_of_its_own(
     site: Site, marks: dict[Mark, str], level: str, reported: str
 ) -> None:
     for mark, value in marks.items():
@@ -130,7 +130,7 @@ def says(site: Site, silent_s: float = 0.0, **what: object) -> Ran:
     """`status --json` beside a daemon that last wrote this of itself."""
     state = RunState(
         **{"pid": os.getpid(), "boot_id": read_boot_id(), "version": "1.0", "started_utc": ""}
-        | {"phase": "running", "patience_s": 300.0, "told_s": uptime_s() - silent_s}
+        | {"phase": "running", "patience_s": 300.0, "reported_s": uptime_s() - silent_s}
         | what
     )
     write_run_state(site.state, state)
@@ -142,7 +142,7 @@ def item(ran: Ran, name: str) -> tuple[str, str]:
     return found["level"], found["text"]
 
 
-def test_what_the_daemon_does_now_is_told(site: Site) -> None:
+def test_what_the_daemon_does_now_is_reported(site: Site) -> None:
     ran = says(site, phase="recovering", silent_s=20.0)
     assert item(ran, "daemon") == ("ok", "recovering, 20 s ago")
     assert json.loads(ran.out)["daemon"]["says"]["phase"] == "recovering"
@@ -156,7 +156,8 @@ def test_a_daemon_that_runs_but_ends_no_slot_is_critical(site: Site) -> None:
 
 
 @pytest.mark.parametrize(
-    "stale", [{"pid": 2**22 + 1}, {"boot_id": "another"}, {"phase": "dancing"}, {"told_s": "soon"}]
+    "stale",
+    [{"pid": 2**22 + 1}, {"boot_id": "another"}, {"phase": "dancing"}, {"reported_s": "soon"}],
 )
 def test_what_an_earlier_daemon_left_is_not_believed(site: Site, stale: dict) -> None:
     ran = says(site, silent_s=3600.0, **stale)
@@ -208,7 +209,7 @@ def test_a_nearly_full_disk_is_noticed_before_any_pair_is_kept(
     assert site.levels(site.status())["disk"] == level
 
 
-def test_frames_that_are_not_kept_are_told_until_they_are_again(site: Site) -> None:
+def test_frames_that_are_not_kept_are_reported_until_they_are_again(site: Site) -> None:
     site.measure(2)
     why = "from slot 2026-03-01T00:02:00Z: the disk is full"
     site.write(lambda store: store.add_event(site.end, "frames_not_kept", why))
@@ -219,7 +220,7 @@ def test_frames_that_are_not_kept_are_told_until_they_are_again(site: Site) -> N
     assert site.levels(site.status())["frames"] == "ok"
 
 
-def test_the_size_of_the_archive_is_told_without_walking_it(site: Site) -> None:
+def test_the_size_of_the_archive_is_reported_without_walking_it(site: Site) -> None:
     for number in (1, 2):
         day = FrameDay(date(2026, 2, number), bytes=3_000_000_000)
         site.write(lambda store, day=day: store.put_frame_day(day))
@@ -363,7 +364,9 @@ def test_a_span_that_ends_before_it_begins_is_a_usage_error(
     assert "--since 2026-03-02T00:00:00Z is later than --until 2026-03-01T00:00:00Z" in ran.err
 
 
-def test_an_output_that_cannot_be_made_is_told_by_its_directory(site: Site, tmp_path: Path) -> None:
+def test_an_output_that_cannot_be_made_is_reported_by_its_directory(
+    site: Site, tmp_path: Path
+) -> None:
     ran = site.ctl("export", "--output", tmp_path / "nowhere" / "out.csv")
     assert ran.code == 4
     assert f"{tmp_path / 'nowhere'}: No such file or directory" in ran.err

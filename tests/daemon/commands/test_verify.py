@@ -236,7 +236,7 @@ def test_a_database_set_aside_is_critical_until_it_is_moved_away(
     assert levels == ["critical", "ok"]
 
 
-def test_frames_that_retention_removed_are_told_apart_from_lost_ones(site: Site) -> None:
+def test_frames_that_retention_removed_are_distinguished_from_lost_ones(site: Site) -> None:
     removed("000100_main.png", "000100_sub.png", "000800_main.png")(site)
     day = FrameDay(START.date(), Thinning.HOURLY, until_utc=slot(2), kept=frozenset({slot(2)}))
     with open_store(site.state) as store:

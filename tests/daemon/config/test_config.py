@@ -82,7 +82,7 @@ def test_minimal_site_becomes_the_core_s_site(write) -> None:
     assert site.quality.max_skew_ms == 20.0
 
 
-def test_the_lens_model_is_chosen_unless_told(write) -> None:
+def test_the_lens_model_is_chosen_unless_named(write) -> None:
     assert load_config(write()).site().lens_model is None
     reported = ("focal_length_mm = 6.0", 'focal_length_mm = 6.0\nlens_model = "fisheye"')
     assert load_config(write(reported)).site().lens_model == "fisheye"
@@ -213,7 +213,7 @@ def test_one_mistake_is_one_line(write, old: str, new: str, expected: str) -> No
     assert re.match(expected, problem), problem
 
 
-def test_every_mistake_is_told_at_once(write) -> None:
+def test_every_mistake_is_reported_at_once(write) -> None:
     path = write(("distance_mm = 50.0", "distance_cm = 5.0"), ("squares_x = 32", "squares_x = 0"))
     assert len(problems_of(path)) == 2
 

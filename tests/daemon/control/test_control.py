@@ -253,7 +253,7 @@ def test_a_state_directory_of_any_length_will_do(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root to become somebody else")
-def test_whoever_is_not_of_the_group_is_told_so(station) -> None:
+def test_whoever_is_not_of_the_group_learns_so(station) -> None:
     with control_socket(station.state, CameraLease(lambda: None)):
         child = os.fork()
         if child == 0:

@@ -55,7 +55,7 @@ def ctl(site: Site, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_a_look_beside_dcamd_is_told_and_not_recorded(site: Site) -> None:
+def test_a_look_beside_dcamd_is_reported_and_not_recorded(site: Site) -> None:
     with running(site) as process:
         ran = ctl(site, "capture", "--json")
         plain = ctl(site, "capture")

@@ -69,7 +69,7 @@ def kept(station: Station) -> dict[int, int]:
     return dict(Counter(slot.day for slot in station.archive.stored_slots()))
 
 
-def assert_told_apart(station: Station) -> None:
+def assert_distinguished(station: Station) -> None:
     """Each row's frames are there, or known to have been removed; tables name what is there."""
     there = set(station.archive.stored_slots())
     for row in station.store.measurements():
@@ -88,7 +88,7 @@ def test_frames_thin_out_as_they_age_and_rows_stay(state: Path) -> None:
         station.run(int(4.5 * A_DAY))
         assert len(station.minutes()) == 4.5 * A_DAY
         assert kept(station) == {3: 1, 4: 24, 5: A_DAY}
-        assert_told_apart(station)
+        assert_distinguished(station)
         assert not (station.state / "frames/2026/03/01").exists()
         reported = [event.detail for event in station.store.events(kind="frames_removed")]
         assert reported[0].startswith("2026-03-01: 12 slots removed in all, 12 kept (hourly)")
@@ -123,7 +123,7 @@ def test_pairs_beside_events_gaps_and_slips_stay(state: Path) -> None:
         work_off(retention(station, rules), station)
         first = [slot.strftime("%H:%M") for slot in station.archive.stored_slots()][:6]
         assert first == ["13:30", "16:00", "19:30", "20:30", "21:30", "22:00"]
-        assert_told_apart(station)
+        assert_distinguished(station)
 
 
 def test_events_all_the_time_keep_no_more_than_one_an_hour_would(state: Path) -> None:
@@ -185,7 +185,7 @@ def test_too_large_an_archive_shrinks_in_proportion_and_keeps_the_newest(state: 
         counts = list(kept(station).values())
         assert counts == [1, 1, 1, 24, 24, A_DAY, A_DAY, A_DAY]
         assert sum(day.bytes for day in station.store.frame_days()) <= 0.55 * whole
-        assert_told_apart(station)
+        assert_distinguished(station)
 
 
 def test_a_full_disk_takes_all_but_the_newest_hour_events_last(
@@ -200,11 +200,11 @@ def test_a_full_disk_takes_all_but_the_newest_hour_events_last(
         work_off(keeper, station)
         # Noon of the first day is an event; of the last day the last hour stays as it is.
         assert kept(station) == {1: 2, 3: 25}
-        assert_told_apart(station)
+        assert_distinguished(station)
         monkeypatch.setattr(Retention, "free_bytes", 1e6)
         work_off(keeper, station)
         assert kept(station) == {3: 25}
-        assert_told_apart(station)
+        assert_distinguished(station)
 
 
 def test_a_day_thinned_before_its_end_is_thinned_to_its_end(
@@ -221,7 +221,7 @@ def test_a_day_thinned_before_its_end_is_thinned_to_its_end(
         station.archive.store(START + timedelta(hours=18), pair())
         keeper.step(station.store.last_slot() + timedelta(days=1), float("inf"))
         assert kept(station) == {1: 24, 2: 1}
-        assert_told_apart(station)
+        assert_distinguished(station)
 
 
 def test_removal_that_is_cut_anywhere_is_finished_by_the_next_daemon(state: Path) -> None:
@@ -269,7 +269,7 @@ def test_removal_that_is_cut_anywhere_is_finished_by_the_next_daemon(state: Path
             assert station.archive.orphans(station.store.measured_slots()) == []
             work_off(retention(station, rules), station)
             assert kept(station) == {2: 6}
-            assert_told_apart(station)
+            assert_distinguished(station)
             assert station.store.measured_slots() == filled_before
         if not was_cut:
             break
@@ -301,7 +301,7 @@ def test_a_disk_too_full_for_the_ledger_is_freed_all_the_same(
             keeper.step(station.store.last_slot(), float("inf"))
         work_off(keeper, station)
         assert kept(station) == {2: 25}
-        assert_told_apart(station)
+        assert_distinguished(station)
 
 
 def test_no_file_is_begun_after_the_deadline(state: Path, monkeypatch: pytest.MonkeyPatch) -> None:

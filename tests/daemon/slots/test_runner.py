@@ -203,7 +203,7 @@ def test_history_tells_when_slots_fail_and_when_they_come_again(station) -> None
     assert [event.kind for event in station.store.events()] == ["camera_lost", "slots_again"]
 
 
-def test_told_to_stop_it_takes_no_further_slot(station) -> None:
+def test_asked_to_stop_it_takes_no_further_slot(station) -> None:
     runner = station.start()
     station.source.orders = {1: station.stop.set}
     assert runner.run() == 2

@@ -166,7 +166,7 @@ def test_status_tells_what_dcamd_says_until_it_is_killed(site: Site) -> None:
     assert read_run_state(site.state).pid == process.pid
 
 
-def test_a_state_file_that_cannot_be_written_is_told_once_and_costs_no_slot(site: Site) -> None:
+def test_a_state_file_that_cannot_be_written_is_reported_once_and_costs_no_slot(site: Site) -> None:
     (site.state / "state.json").mkdir(parents=True)
     ran = site.run("--max-slots", "3")
     assert ran.returncode == 0

@@ -204,7 +204,7 @@ def test_everything_that_is_whole_is_carried_over(state: Path, sound: Path) -> N
     ],
     ids=["text", "truncated", "header only", "empty", "directory"],
 )
-def test_what_is_no_database_is_set_aside_and_told(
+def test_what_is_no_database_is_set_aside_and_reported(
     state: Path, make: Callable[[Path], object], why: str
 ) -> None:
     make(state / "dcam.db")
@@ -388,7 +388,7 @@ def test_a_database_of_an_older_version_is_salvaged_and_migrated(tmp_path: Path)
         assert connection.execute("SELECT kind FROM event").fetchall()[0] == ("started",)
 
 
-def test_a_failing_disk_is_told_first_and_salvaged_at_the_second_start(
+def test_a_failing_disk_is_reported_first_and_salvaged_at_the_second_start(
     state: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A bad sector does not go away; a cable that was loose does."""

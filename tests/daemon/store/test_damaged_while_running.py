@@ -183,7 +183,7 @@ def test_a_command_makes_no_new_database_beside_the_traces_of_a_lost_one(site: S
     assert not (site.state / "dcam.db").exists()
 
 
-def test_a_disk_without_room_for_the_saved_rows_is_told(site: Site) -> None:
+def test_a_disk_without_room_for_the_saved_rows_is_reported(site: Site) -> None:
     assert site.run("--max-slots", "4").returncode == 0
     change(site, "UPDATE measurement SET discs_found = 99 WHERE id = 2")
     shutil.copytree(site.state, site.state.parent / "damaged")

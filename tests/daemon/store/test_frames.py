@@ -185,7 +185,7 @@ def test_a_pair_stored_after_a_torn_line_leaves_a_whole_table(
 @pytest.mark.parametrize(
     "damage", [b"", b"slot_utc,role\n", b"\0" * 5000, b"x" * 9000, b"slot_utc,ro"]
 )
-def test_a_damaged_table_is_set_aside_and_written_anew(
+def test_a_damaged_table_is_set_aside_and_written_again(
     archive: FrameArchive, tmp_path: Path, damage: bytes
 ) -> None:
     for number in range(2):

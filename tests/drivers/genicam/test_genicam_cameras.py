@@ -102,7 +102,7 @@ def outcome(camera: Camera, timeout_s: float) -> DeviceError | None:
 # --- which camera
 
 
-def test_two_cameras_are_told_apart_by_serial_though_they_changed_places(
+def test_two_cameras_are_distinguished_by_serial_though_they_changed_places(
     kind: Kind, tmp_path: Path
 ) -> None:
     images = {MAIN: write_images(tmp_path, 1, seed=3), SUB: write_images(tmp_path, 1, seed=4)}

@@ -102,7 +102,7 @@ class Bench:
     """What it can come near to an angle asked for."""
     angles_deg: Callable[[], tuple[float, float]]
     """Where it truly is."""
-    was_told: Callable[[], bytes] | None = None
+    has_received: Callable[[], bytes] | None = None
     """All bytes that reached it; None for a head without a line."""
     stop_bytes: bytes = b""
     set_faults: Callable[..., None] | None = None
@@ -146,7 +146,7 @@ class PortBench:
             settings,
             count_deg,
             self.angles_deg,
-            was_told=lambda: self.recorder.received,
+            has_received=lambda: self.recorder.received,
             stop_bytes=stop,
             set_faults=self.set_faults,
             replug=self.plug,

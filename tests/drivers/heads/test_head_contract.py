@@ -95,7 +95,7 @@ def near(one: tuple[float, float], other: tuple[float, float], within_deg: float
     return all(abs(a - b) <= within_deg for a, b in zip(one, other, strict=True))
 
 
-def test_it_goes_where_told_to_within_a_count_and_says_where_it_is(bench: Bench) -> None:
+def test_it_goes_where_asked_within_a_count_and_says_where_it_is(bench: Bench) -> None:
     for asked in ((1.0, -0.5), (-1.2345, 0.789), (0.0, 0.0)):
         bench.head.move_to(*asked)
         assert near(bench.angles_deg(), asked, bench.count_deg)
@@ -117,8 +117,8 @@ def test_beyond_a_limit_it_refuses_before_a_byte_is_sent(bench: Bench, asked) ->
     with pytest.raises(HeadLimitError, match=r"limit.* ask for less"):
         bench.head.move_to(*asked)
     assert bench.angles_deg() == (0.0, 0.0)
-    if bench.was_told is not None:
-        assert bench.was_told() == b""
+    if bench.has_received is not None:
+        assert bench.has_received() == b""
 
 
 def test_it_describes_itself_without_moving(bench: Bench) -> None:
@@ -140,7 +140,7 @@ def test_it_can_be_closed_twice_and_used_again(bench: Bench) -> None:
 def test_closing_halts(port_bench: Bench) -> None:
     port_bench.head.describe()
     port_bench.head.close()
-    assert port_bench.was_told().endswith(port_bench.stop_bytes)
+    assert port_bench.has_received().endswith(port_bench.stop_bytes)
 
 
 class Mover(threading.Thread):
@@ -179,7 +179,7 @@ def test_halt_from_another_thread_ends_the_move_and_the_motion(port_bench: Bench
         return last[-1] == last[-2]
 
     wait_for(rests, "the head to come to rest")
-    assert port_bench.stop_bytes in port_bench.was_told()
+    assert port_bench.stop_bytes in port_bench.has_received()
     port_bench.head.move_to(0.0, 0.0)  # and it can be moved again
     if port_bench.head.reports_position:
         assert near(port_bench.angles_deg(), (0.0, 0.0), port_bench.count_deg)
@@ -193,7 +193,7 @@ def test_a_port_that_vanishes_in_a_move_and_comes_back_ends_it_halted(port_bench
     assert isinstance(mover.error, HeadLostError)
     assert "vanished" in str(mover.error)
     assert "could not be halted" not in str(mover.error)
-    assert port_bench.was_told().startswith(port_bench.stop_bytes)
+    assert port_bench.has_received().startswith(port_bench.stop_bytes)
     port_bench.head.move_to(0.5, -0.5)
     port_bench.head.describe()
 
@@ -207,7 +207,7 @@ def test_a_port_that_went_and_came_while_nobody_moved_is_no_error(port_bench: Be
     assert near(port_bench.angles_deg(), (0.5, -0.5), port_bench.count_deg)
 
 
-def test_a_port_that_does_not_come_back_is_told_as_a_danger(tmp_path: Path) -> None:
+def test_a_port_that_does_not_come_back_is_reported_as_a_danger(tmp_path: Path) -> None:
     port = PortBench(lambda: PtuMachine(PtuModel()), tmp_path / "head", FASTER)
     head = PtuHead(SerialLine(str(tmp_path / "head"), 9600, reopen_s=0.2), SETTINGS)
     bench = port.bench(head, SETTINGS, 0.01, b"H ")
@@ -233,7 +233,7 @@ def test_a_head_that_falls_silent_or_talks_nonsense_in_a_move_is_halted(
     assert isinstance(mover.error, HeadError)
     assert ("no answer" if fault == "silent_after" else "nonsense") in str(mover.error)
     assert "\n" not in str(mover.error)
-    assert bench.stop_bytes in bench.was_told()
+    assert bench.stop_bytes in bench.has_received()
 
 
 @pytest.mark.parametrize("noise", [0.3])

@@ -128,7 +128,7 @@ def test_a_head_with_another_address_is_not_moved() -> None:
     assert machine.commands == 0
 
 
-def test_a_head_that_never_answers_is_told_apart_before_it_moves() -> None:
+def test_a_head_that_never_answers_is_recognised_before_it_moves() -> None:
     head, line = head_on(PelcoModel(feedback=False))
     with pytest.raises(HeadError, match="reports_position = false"):
         head.move_to(1.0, 0.0)
@@ -242,7 +242,7 @@ def test_a_turn_that_was_broken_off_is_reckoned_with() -> None:
     assert line.machine.angles_deg(line.now_s) == pytest.approx((0.0, 0.0), abs=0.02)
 
 
-def test_a_line_that_is_lost_while_it_turns_is_told_as_a_danger() -> None:
+def test_a_line_that_is_lost_while_it_turns_is_reported_as_a_danger() -> None:
     head, line = timed_on(SLOW)
 
     def on_read() -> None:

@@ -208,7 +208,7 @@ def test_counts_never_round_across_a_limit() -> None:
     assert b"PP96 " in line.sent
 
 
-def test_a_refusal_is_told_in_the_head_s_words_and_halts() -> None:
+def test_a_refusal_is_reported_in_the_head_s_words_and_halts() -> None:
     class Choosy(PtuMachine):
         def _set(self, axis, name, what, value, now_s):
             if what == "S":
