@@ -7,16 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray
-from core.discs.blobs import FEW_LEVELS, MANY_LEVELS, NO_BLOBS, Blobs, find_blobs
-from core.discs.disc_fit import DiscFits, locate_discs
-from core.discs.layout import (
-    MIN_DISCS,
-    SCALE_TOLERANCE,
-    DiscAssignment,
-    Expectation,
-    Layout,
-    identify_discs,
-)
+from core.discs.disc_fit import locate_discs
+from core.discs.layout import MIN_DISCS, Expectation, Layout
+from core.discs.search import clear_fits, search_plate
 from core.errors import TargetNotFoundError
 from core.images import GreyImage
 from core.site import CirclesTarget
@@ -26,18 +19,6 @@ __all__ = ["MIN_DISCS", "Discs", "find_discs"]
 _MAX_ROLL_DEG = 50.0
 """How far the camera may be rolled. Chosen: it is mounted upright to some degrees, and beyond 90
 degrees an X of discs would be named upside down."""
-_MIN_CLEAN = 0.5
-"""Least explained fraction of a disc that is used. Chosen: half an outline still determines an
-ellipse, and a row is flagged below 0.95."""
-_MOST_CANDIDATES = 60
-"""Spots that may be discs, the clearest. Chosen as a bound on the work, which grows with its
-square; a target has a few."""
-_QUICK_RADIUS_PX, _SEARCH_RADIUS_PX = 9.0, 7.0
-"""Radius, px, to which the smallest disc may be shrunk: at the scale expected, then at the smallest
-scale allowed. At that scale the quick look still leaves it 4.5 px, and a spot needs 2.5."""
-_LARGE_PX = 1000
-"""Longer side above which an image is halved where no scale is expected. Chosen for speed: a
-disc then needs a radius of 5 px."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,12 +64,13 @@ def find_discs(
     expected = Expectation(
         expected_px_per_mm, expected_px, upright_deg=_MAX_ROLL_DEG, max_roll_deg=_MAX_ROLL_DEG
     )
-    blobs, assignment = _search(image, layout, expected)
+    seen = search_plate(image, layout, expected)
+    blobs, assignment = seen.blobs, seen.assignment
     n = len(target.centres_mm)
     if assignment is None:
         msg = (
             f"main target: fewer than {MIN_DISCS} of {n} discs found "
-            f"({len(blobs.points_px)} round bright spots in the image), {MIN_DISCS} are needed"
+            f"({seen.most_spots} round bright spots in the image), {MIN_DISCS} are needed"
         )
         raise TargetNotFoundError(msg)
     if not assignment.unambiguous:
@@ -120,44 +102,3 @@ def find_discs(
         float(np.median(fits.contrast_dn[good])),
         float(np.median(fits.blur_px[good])),
     )
-
-
-def clear_fits(fits: DiscFits) -> BoolArray:
-    """Which discs (n,) stand out from the noise and look like discs for most of their outline."""
-    good = fits.usable & (fits.explained_fraction > _MIN_CLEAN)
-    return np.asarray(good & (fits.contrast_dn > 4.0 * fits.noise_dn / np.sqrt(10.0)))
-
-
-def _search(
-    image: GreyImage, layout: Layout, expected: Expectation
-) -> tuple[Blobs, DiscAssignment | None]:
-    """Look quickly at the size expected; where a disc is missing, thoroughly."""
-    blobs, assignment = NO_BLOBS, None
-    for shrink, levels in _stages(image, layout, expected):
-        seen = _candidates(find_blobs(image.pixels, shrink, levels), layout, expected)
-        named = identify_discs(seen, layout, expected) if len(seen.points_px) >= MIN_DISCS else None
-        if assignment is None or (named is not None and len(named.discs) > len(assignment.discs)):
-            blobs, assignment = seen, named
-        if assignment is not None and len(assignment.discs) == len(layout.radii_mm):
-            break
-    return blobs, assignment
-
-
-def _stages(image: GreyImage, layout: Layout, expected: Expectation) -> list[tuple[int, int]]:
-    """By how much to shrink the image, and the number of levels to try."""
-    if expected.px_per_mm is None:
-        return [(2 if max(image.pixels.shape) > _LARGE_PX else 1, MANY_LEVELS)]
-    radius = float(layout.radii_mm.min()) * expected.px_per_mm
-    quick = max(1, int(radius / _QUICK_RADIUS_PX))
-    thorough = max(1, int(radius / SCALE_TOLERANCE / _SEARCH_RADIUS_PX))
-    return [(quick, FEW_LEVELS), (thorough, MANY_LEVELS)]
-
-
-def _candidates(blobs: Blobs, layout: Layout, expected: Expectation) -> Blobs:
-    """Round bright spots of a size that a disc may have; the clearest of them."""
-    if expected.px_per_mm is not None:
-        radii = layout.radii_mm * expected.px_per_mm
-        fits = blobs.radius_px > 0.8 * radii.min() / SCALE_TOLERANCE
-        fits &= blobs.radius_px < 1.25 * radii.max() * SCALE_TOLERANCE
-        blobs = blobs.select(fits)
-    return blobs.clearest(_MOST_CANDIDATES)

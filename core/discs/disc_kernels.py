@@ -1,4 +1,4 @@
-"""Compiled loops over pixels: an image made smaller, and the grey-value model of a bright disc."""
+"""Compiled loops over pixels: the grey-value model of a bright disc."""
 
 from __future__ import annotations
 
@@ -26,36 +26,6 @@ _MOST_STEP_BLURS = 1.0
 _BLOCK = 128  # pixels at a time; their 12 derivatives, 12 KB, stay in the fastest cache
 Pixels = NDArray[Any]
 """(h, w) grey values: uint8, uint16 or float32."""
-
-
-@compiled
-def _add_rows(image: Pixels, first: int, factor: int, sums: NDArray[np.uint32]) -> None:
-    for column in range(image.shape[1]):
-        sums[column] = image[first, column]
-    for row in range(first + 1, first + factor):
-        for column in range(image.shape[1]):
-            sums[column] += image[row, column]
-
-
-@compiled
-def shrink_image(image: Pixels, factor: int) -> NDArray[np.float32]:
-    """Mean of blocks of factor x factor pixels; what is left over at the far borders is dropped.
-
-    >>> shrink_image(np.arange(15, dtype=np.uint8).reshape(3, 5), 2).tolist()
-    [[3.0, 5.0]]
-    """
-    height, width = image.shape[0] // factor, image.shape[1] // factor
-    out = np.empty((height, width), np.float32)
-    sums = np.empty(image.shape[1], np.uint32)
-    share = np.float32(1.0 / (factor * factor))
-    for v in range(height):
-        _add_rows(image, v * factor, factor, sums)
-        for u in range(width):
-            total = np.uint32(0)
-            for k in range(u * factor, (u + 1) * factor):
-                total += sums[k]
-            out[v, u] = np.float32(total) * share
-    return out
 
 
 @compiled

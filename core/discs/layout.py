@@ -14,6 +14,7 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.discs.blobs import Blobs
+from core.discs.layout_kernels import nearest_spots
 from core.geometry.homography import fit_homography, perspective, project, slopes
 
 MIN_DISCS = 3
@@ -150,16 +151,13 @@ def _guesses(
 ) -> list[tuple[IntArray, FloatArray]]:
     """Spots (n,) of all discs, -1 for none, with a slope (2, 2) px/mm; the most complete first."""
     anchor, place, slope = _pairs(blobs, layout, expected)
-    back = np.linalg.inv(slope)
-    spots_mm = np.einsum("hab,hmb->hma", back, blobs.points_px[None] - anchor[:, None])
-    places = layout.places_mm[None] - place[:, None]
-    miss = np.hypot(*np.moveaxis(spots_mm[:, None] - places[:, :, None], -1, 0))
-    scale = np.sqrt(np.abs(np.linalg.det(slope)))
-    area = np.sqrt(np.abs(np.linalg.det(blobs.outline_px)))
-    size = np.log(area[None, None] / (scale[:, None, None] * layout.radii_mm[None, :, None]))
-    miss = np.where(np.abs(size) < 2.0 * _SLOPE_TOLERANCE, miss, np.inf)
-    nearest = np.argmin(miss, axis=2)
-    away = np.take_along_axis(miss, nearest[..., None], axis=2)[..., 0]
+    shape = len(slope), len(layout.radii_mm)
+    nearest, away = np.empty(shape, dtype=np.int64), np.empty(shape)
+    size = 0.5 * np.log(np.abs(np.linalg.det(blobs.outline_px)))
+    nearest_spots(
+        blobs.points_px, size, anchor, place, slope, layout.places_mm, np.log(layout.radii_mm),
+        2.0 * _SLOPE_TOLERANCE, nearest, away,
+    )  # fmt: skip
     hit = away < min(_PLACE_SHARE * layout.size_mm, _SPACING_SHARE * layout.spacing_mm)
     quality = hit.sum(axis=1) - np.where(hit, away, 0.0).sum(axis=1) / (10.0 * layout.size_mm)
     order = np.argsort(-quality, kind="stable")

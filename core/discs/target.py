@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
-from core.discs.blobs import MANY_LEVELS, Blobs, find_blobs
-from core.discs.disc_finder import clear_fits
+from core.discs.blobs import Blobs
 from core.discs.disc_fit import DiscFits, locate_discs
-from core.discs.layout import MIN_DISCS, DiscAssignment, Expectation, Layout, identify_discs
+from core.discs.layout import MIN_DISCS, DiscAssignment, Expectation, Layout
+from core.discs.search import clear_fits, search_plate
 from core.errors import ImageError, TargetNotFoundError
 from core.geometry.homography import circle_outlines, outline_offset, refine_on_circles
 from core.images import GreyImage, PixelArray
 
-_MOST_CANDIDATES = 150
-"""Spots that may be discs, the clearest. Chosen as a bound on the work, which grows with its
-square; more than where the scale is known, as spots of any size count."""
-_SEARCH_SIZE_PX = 1000
-"""Longer side to which an image is shrunk at first; smaller discs are sought later. For speed."""
 _POINT_SIGMA_PX = 0.05
 """Of a fitted disc's place when the homography is refined. Chosen: well above its noise, some
 thousandths of a px, as lens and plate are not ideal."""
@@ -36,9 +30,6 @@ _OTHER_SIZE = 1.3
 when it names them, exp(0.25) = 1.28, rounded up."""
 _ROUNDS = 3
 """Of homography and choice of discs. Chosen: each may drop discs that were in the fit before."""
-_MOST_CHANGE = 0.4
-"""By how much of its radius a fit may move a spot or change its outline; else the spot remains as
-it was. Chosen: below half a radius it is still the same spot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,61 +129,21 @@ def _as_layout(centres_mm: FloatArray, diameter_mm: float | FloatArray) -> Layou
 
 
 def _search(grey: GreyImage, layout: Layout, expected: Expectation) -> tuple[Blobs, DiscAssignment]:
-    """Look ever more thoroughly until all discs are named for certain."""
-    best: tuple[Blobs, DiscAssignment] | None = None
-    spots = 0
-    for blobs in _looks(grey):
-        spots = max(spots, len(blobs.points_px))
-        assignment = (
-            identify_discs(blobs, layout, expected) if len(blobs.points_px) >= MIN_DISCS else None
-        )
-        if assignment is None:
-            continue
-        if best is None or assignment.cost < best[1].cost:
-            best = blobs, assignment
-        if len(assignment.discs) == len(layout.radii_mm) and assignment.unambiguous:
-            break
-    if best is None:
+    """Find the spots that are the discs."""
+    seen = search_plate(grey, layout, expected)
+    if seen.assignment is None:
         msg = (
             f"main target: no {expected.min_discs} of {len(layout.radii_mm)} discs found as they "
-            f"are laid out ({spots} round bright spots in the image)"
+            f"are laid out ({seen.most_spots} round bright spots in the image)"
         )
         raise TargetNotFoundError(msg)
-    if not best[1].unambiguous:
+    if not seen.assignment.unambiguous:
         msg = (
             "main target: its discs can be named in more than one way; "
             "say where they are about (near)"
         )
         raise TargetNotFoundError(msg)
-    return best
-
-
-def _looks(grey: GreyImage) -> Iterator[Blobs]:
-    """Bright spots, sought in more and more ways."""
-    shrink = -(-max(grey.pixels.shape) // _SEARCH_SIZE_PX)
-    while True:
-        for local in (False, True):
-            blobs = find_blobs(grey.pixels, shrink, MANY_LEVELS, local=local)
-            blobs = blobs.clearest(_MOST_CANDIDATES)
-            yield blobs
-            yield _fitted(grey, blobs)
-        if shrink == 1:
-            return
-        shrink //= 2
-
-
-def _fitted(grey: GreyImage, blobs: Blobs) -> Blobs:
-    """The same spots with the outlines that a fit gives where there is one."""
-    fits = locate_discs(grey.pixels, grey.saturation_dn, blobs.points_px, blobs.outline_px)
-    moved = np.hypot(*(fits.points_px - blobs.points_px).T) / blobs.radius_px
-    change = np.abs(fits.outline_px - blobs.outline_px).max(axis=(1, 2)) / blobs.radius_px
-    ok = clear_fits(fits) & (moved < _MOST_CHANGE) & (change < _MOST_CHANGE)
-    return Blobs(
-        np.where(ok[:, None], fits.points_px, blobs.points_px),
-        np.where(ok[:, None, None], fits.outline_px, blobs.outline_px),
-        blobs.contrast_dn,
-        blobs.evenness,
-    )
+    return seen.blobs, seen.assignment
 
 
 def _locate(
