@@ -18,12 +18,14 @@ _BLOCK_PX = 3
 2.5 px, lie at least two blocks apart."""
 _WAYS, _REACH_PX = 16, 12
 """Directions from a peak in which the dark is sought, and how far: the largest half axis."""
+# Distances, px, of the pixels looked at on a way: closer together where small spots end.
 _WAY_PX = np.array([2.5, 4.0, 6.0, 9.0, _REACH_PX]) * np.exp(
     2j * np.pi * np.arange(_WAYS)[:, None] / _WAYS
 )
 _WAY_U = np.rint(_WAY_PX.real).astype(np.int64)
 _WAY_V = np.rint(_WAY_PX.imag).astype(np.int64)
-"""(ways, steps) columns and rows of the pixels looked at on the ways out."""
+_QUARTER, _HALF, _THREE_QUARTERS = 3, 7, 12
+"""Ranks among the darkest values of the ways."""
 LEAST_HALF_AXIS_PX, MOST_HALF_AXIS_PX = 2.5, 12.0
 """Of the shorter half axis, px of the image searched. Chosen: a smaller spot is too coarse to have
 an outline, a larger one is found in an image of half the size."""
@@ -42,9 +44,9 @@ _ON_OUTLINE, _OFF_PX, _OFF_SHARE = 0.8, 1.2, 0.05
 """So much of a contour lies nearer than this to the ellipse."""
 _SHARES = np.array([0.9, 0.8, 0.65, 0.5, 0.35, 0.2])
 """Thresholds between a spot's surroundings and its peak, from the peak down."""
+# The eight neighbours, clockwise as seen in the image, from the right.
 _DU = np.array([1, 1, 0, -1, -1, -1, 0, 1])
 _DV = np.array([0, 1, 1, 1, 0, -1, -1, -1])
-"""The eight neighbours, clockwise as seen in the image, from the right."""
 REGION = 7
 """Of a region: x, y, longer and shorter half axis, angle (rad), sharpness, steps of its border."""
 
@@ -122,10 +124,10 @@ def _peaks_among(
                 continue
             v, u = at[block_v, block_u, 0], at[block_v, block_u, 1]
             _surroundings(grey, u, v, darkest)
-            if here - darkest[12] < least_dn or count == len(peaks):
+            if here - darkest[_THREE_QUARTERS] < least_dn or count == len(peaks):
                 continue
-            dark = 0.5 * (darkest[7] + darkest[8])
-            varies = darkest[12] - darkest[3]
+            dark = 0.5 * (darkest[_HALF] + darkest[_HALF + 1])
+            varies = darkest[_THREE_QUARTERS] - darkest[_QUARTER]
             peaks[count, 0], peaks[count, 1] = u, v
             peaks[count, 2], peaks[count, 3] = here, dark
             peaks[count, 4] = (here - dark) / (varies + noise_dn)
