@@ -14,6 +14,7 @@ from daemon.checks.disk import check_room, check_speed
 from daemon.checks.drawing import check_drawing
 from daemon.checks.finding import Finding
 from daemon.checks.record import check_database, check_state
+from daemon.checks.serial_port import check_port_rivals
 from daemon.commands.options import Options, common_options, json_option, pass_options
 from daemon.commands.output import print_json, print_table
 from daemon.config.reading import Installation
@@ -60,6 +61,7 @@ def _findings(site: Installation, *, hardware: bool) -> Iterator[Finding]:
     yield check_user(state)
     yield from check_links(config)
     yield from check_cameras(site)
+    yield from check_port_rivals(config)
     yield from check_head(config)
     yield from check_speed(config, state)
     yield from check_computer()

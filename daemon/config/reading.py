@@ -16,6 +16,7 @@ from daemon.config.plausibility import implausible_values
 from daemon.config.problems import describe_problems
 from daemon.errors import ConfigError
 from daemon.file_errors import file_error_text
+from drivers.heads.port_name import port_problem
 
 __all__ = [
     "DEFAULT_CONFIG_PATH",
@@ -87,6 +88,8 @@ def _contradictions(config: Config) -> list[str]:
     problems += _exposure_problems(config)
     problems += _burst_problems(config)
     head = config.pan_tilt
+    if head.port is not None and (problem := port_problem(head.port)):
+        problems.append(f'pan_tilt.port: "{head.port}" {problem}')
     for axis, home, (low, high) in (
         ("pan", head.home_deg[0], head.pan_limits_deg),
         ("tilt", head.home_deg[1], head.tilt_limits_deg),

@@ -1,6 +1,6 @@
 """Which of the devices that a GenTL producer lists is the camera with a serial number.
 
-Producers also list devices of others, which may tell no serial number (the standard allows "not
+Producers also list devices of others, which may report no serial number (the standard allows "not
 available"), and list one camera once for each network interface or filter driver that leads to it
 (harvesters#221, #231).
 """
@@ -14,15 +14,15 @@ from typing import Any
 from drivers.errors import DeviceLostError
 
 FREE = {None, 0, 1}
-"""Access status that lets a device be opened: not told, unknown, read and write (GenTL 1.5)."""
+"""Access status that lets a device be opened: not reported, unknown, read and write (GenTL 1.5)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """One entry of a producer's list, with whatever of it the producer tells."""
+    """One entry of a producer's list, with whatever the producer reports of it."""
 
     serial: str
-    """Empty when the producer tells none."""
+    """Empty when the producer reports none."""
     device_id: str
     model: str
     """Vendor and model."""
@@ -37,13 +37,13 @@ def read_list(infos: Iterable[Any]) -> list[Listed]:
 
 
 def _read(info: Any) -> Listed:
-    told: dict[str, Any] = info.property_dict
-    names = (told.get("vendor"), told.get("model"))
+    said: dict[str, Any] = info.property_dict
+    names = (said.get("vendor"), said.get("model"))
     return Listed(
-        serial=str(told.get("serial_number") or "").strip(),
-        device_id=str(told.get("id_") or ""),
+        serial=str(said.get("serial_number") or "").strip(),
+        device_id=str(said.get("id_") or ""),
         model=" ".join(str(name) for name in names if name),
-        is_free=told.get("access_status") in FREE,
+        is_free=said.get("access_status") in FREE,
         info=info,
     )
 
@@ -77,5 +77,5 @@ def find_entries(serial: str, listed: list[Listed], producer: str) -> list[Liste
 def _names(listed: list[Listed]) -> str:
     named = sorted({entry.serial for entry in listed if entry.serial})
     unnamed = sorted({entry.model or entry.device_id for entry in listed if not entry.serial})
-    names = [*named, *(f"{name} (which tells no serial number)" for name in unnamed)]
+    names = [*named, *(f"{name} (which reports no serial number)" for name in unnamed)]
     return ", ".join(names) or "no camera at all"

@@ -189,7 +189,7 @@ class PtuHead:
                         self._ask(command)
                 self._greeted = self._line.openings
                 self._axes = self._axis("P"), self._axis("T")
-                self._speeds = self._told_speeds()
+                self._speeds = self._reported_speeds()
                 self._forget_unasked()
             return self._axes
 
@@ -198,11 +198,11 @@ class PtuHead:
         if self._axes is None or self._greeted != self._line.openings:
             return
         self._note_unasked(self._line.read(0.0))
-        if self._restarted or self._told_speeds() != self._speeds:
+        if self._restarted or self._reported_speeds() != self._speeds:
             _log.warning("head_restarted", head=self._who)
             self._axes = None
 
-    def _told_speeds(self) -> tuple[float, float]:
+    def _reported_speeds(self) -> tuple[float, float]:
         return self._number("PS"), self._number("TS")
 
     def _axis(self, letter: str) -> _Axis:
@@ -295,9 +295,10 @@ class PtuHead:
                 "pan_tilt.backend and baud, cable and earth"
             )
         waited_s = ATTEMPTS * self._settings.answer_timeout_s
+        waking = "" if command == "H" else "; one just switched on answers after its homing only"
         return HeadError(
             f"{self._who}: no answer to {command} in {waited_s:g} s; check its power and cable, "
-            "pan_tilt.baud and backend; one that was just switched on answers after its homing only"
+            f"pan_tilt.baud and backend{waking}"
         )
 
     def _answer(self, *, number: bool) -> str:

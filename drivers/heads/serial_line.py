@@ -1,19 +1,20 @@
-"""A serial line with a deadline on every call, opened again once its port is back."""
+"""A line to a head with a deadline on every call, opened again once its port is back."""
 
 from __future__ import annotations
 
-import errno
-import select
 import threading
 import time
-from contextlib import suppress
-from typing import Any, Protocol
+from typing import Protocol
 
 import serial
 
 from drivers.deadline import DeadlineExceededError, DeadlineThread
 from drivers.errors import HeadLostError
+from drivers.heads.port_name import is_network
+from drivers.heads.ports import Port, open_port, why_gone, why_too_slow
 
+NETWORK_CALL_TIMEOUT_S = 15.0
+"""pyserial waits 5 s for a connection, and 3 s for each answer of a serial server."""
 LOOK_AGAIN_S = 0.1
 """Between two looks for a port that has vanished."""
 
@@ -56,19 +57,22 @@ class Line(Protocol):
 
 
 class SerialLine:
-    """A serial port by its name, best one below /dev/serial/by-id; implements `Line`.
+    """A serial port by its name, or one behind the network by its URL; implements `Line`.
 
-    8 data bits, no parity, 1 stop bit, no flow control. Nobody else can open the port meanwhile.
+    A name is best one below /dev/serial/by-id; nobody else can open that port meanwhile. A URL is
+    `socket://HOST:PORT` or `rfc2217://HOST:PORT`. 8 data bits, no parity, 1 stop bit, no flow
+    control.
     """
 
     def __init__(
-        self, port: str, baud: int, *, call_timeout_s: float = 5.0, reopen_s: float = 5.0
+        self, port: str, baud: int, *, call_timeout_s: float | None = None, reopen_s: float = 5.0
     ) -> None:
         self._port_name = port
         self._baud = baud
-        self._call_timeout_s = call_timeout_s
+        default_s = NETWORK_CALL_TIMEOUT_S if is_network(port) else 5.0
+        self._call_timeout_s = default_s if call_timeout_s is None else call_timeout_s
         self._reopen_s = reopen_s
-        self._port: Any = None
+        self._port: Port | None = None
         self._openings = 0
         self._lock = threading.Lock()
 
@@ -113,19 +117,22 @@ class SerialLine:
             port.write(data)
         except serial.SerialTimeoutException:
             self.close()
-            msg = f"{self.name}: takes no bytes; check cable and adapter"
+            way = "the network between" if is_network(self.name) else "cable and adapter"
+            msg = f"{self.name}: takes no bytes; check {way}"
             raise HeadLostError(msg) from None
-        except (OSError, TypeError) as error:  # TypeError: closed by another thread meanwhile
+        except (
+            OSError,
+            TypeError,
+            AttributeError,
+        ) as error:  # the latter: closed by another thread
             raise self._gone(error) from None
 
     def read(self, timeout_s: float) -> bytes:
         """Give what has come within the time, b"" if nothing. Raises HeadLostError."""
         port = self._present()
         try:
-            if not select.select([port.fileno()], [], [], max(timeout_s, 0.0))[0]:
-                return b""
-            return bytes(port.read(4096))
-        except (OSError, TypeError, ValueError) as error:
+            return port.read(timeout_s)
+        except (OSError, TypeError, ValueError, AttributeError) as error:
             raise self._gone(error) from None
 
     def close(self) -> None:
@@ -133,71 +140,40 @@ class SerialLine:
         with self._lock:
             port, self._port = self._port, None
         if port is not None:
-            # The kernel may wait half a minute for bytes that an adapter does not take.
             thread = DeadlineThread("serial-close", at_end=lambda: None)
-            thread.submit(lambda: _close(port))
+            thread.submit(port.close)
             thread.end(self._call_timeout_s)
 
-    def _present(self) -> Any:
+    def _present(self) -> Port:
         port = self._port
         if port is None:
-            msg = f"{self.name}: not open; the port was lost"
+            msg = f"{self.name}: not open; the line was lost"
             raise HeadLostError(msg)
         return port
 
-    def _opened(self) -> Any:
+    def _opened(self) -> Port:
         """Open the port in a thread of its own, for a driver of the kernel may hang."""
-        opened: list[Any] = []
+        opened: list[Port] = []
         late = threading.Event()
 
-        def open_port() -> None:
-            port = serial.Serial(
-                self._port_name,
-                self._baud,
-                timeout=0,
-                write_timeout=self._call_timeout_s,
-                exclusive=True,
-            )
-            port.reset_input_buffer()
-            opened.append(port)
+        def open_now() -> None:
+            opened.append(open_port(self._port_name, self._baud, self._call_timeout_s))
 
         def at_end() -> None:
             if late.is_set():
                 for port in opened:
-                    _close(port)
+                    port.close()
 
         thread = DeadlineThread("serial-open", at_end)
         try:
-            thread.call(open_port, self._call_timeout_s)
+            thread.call(open_now, self._call_timeout_s)
         except DeadlineExceededError:
             late.set()
-            msg = f"{self.name}: did not open within {self._call_timeout_s:g} s; replug the adapter"
-            raise HeadLostError(msg) from None
-        except (OSError, ValueError) as error:
-            raise HeadLostError(self._why(error)) from None
+            raise HeadLostError(why_too_slow(self.name, self._call_timeout_s)) from None
         finally:
             thread.end()
         return opened[0]
 
-    def _why(self, error: Exception) -> str:
-        """Say why a port cannot be opened, and what to do."""
-        number = getattr(error, "errno", None)
-        if number in {errno.ENOENT, errno.ENODEV, errno.ENXIO}:
-            return f"{self.name}: no such port; check cable and power, see ls /dev/serial/by-id"
-        if number in {errno.EACCES, errno.EPERM}:
-            return f"{self.name}: no permission; add the user to the group dialout"
-        if number in {errno.EAGAIN, errno.EBUSY} or "exclusively lock" in str(error):
-            return f"{self.name}: in use by another program; end that first"
-        return f"{self.name}: cannot be opened as a serial port ({error}); check pan_tilt.port"
-
     def _gone(self, error: Exception) -> HeadLostError:
         self.close()
-        msg = f"{self.name}: the port has vanished ({error}); check cable and adapter"
-        return HeadLostError(msg)
-
-
-def _close(port: Any) -> None:
-    with suppress(OSError, TypeError):
-        port.reset_output_buffer()
-    with suppress(OSError, TypeError):
-        port.close()
+        return HeadLostError(why_gone(self.name, error))

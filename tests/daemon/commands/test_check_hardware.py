@@ -304,3 +304,47 @@ def test_root_leaves_another_users_state_alone(ctl: Ctl, tmp_path: Path) -> None
         assert done.code == 4
         assert "runuser -u nobody -- dcam-ctl" in done.out + done.err
     assert list(state.iterdir()) == []
+
+
+# ------------------------------------------------------------ who else is at the head's port
+
+WITH_HEAD = CONFIG + '\n[pan_tilt]\nbackend = "ptu"\nport = "PORT"\n'
+MODEM_MANAGER, BRLTTY = "proc/412/comm", "proc/977/comm"
+
+
+@pytest.mark.parametrize(
+    ("file", "name", "cure"),
+    [
+        (MODEM_MANAGER, "ModemManager", "systemctl disable --now ModemManager"),
+        (BRLTTY, "brltty", "apt-get remove brltty"),
+    ],
+)
+def test_a_program_that_may_seize_the_heads_port_is_named(
+    check, computer: Computer, file: str, name: str, cure: str
+) -> None:
+    computer.says(file, name)
+    _, found = check(WITH_HEAD.replace("PORT", "/dev/ttyUSB7"))
+    state, text = found["head port"]
+    assert state == "warning"
+    assert cure in text
+
+
+def test_modem_manager_is_no_rival_where_udev_tells_it_to_leave_the_port_alone(
+    check, computer: Computer
+) -> None:
+    number = Path("/dev/null").stat().st_rdev
+    computer.says(MODEM_MANAGER, "ModemManager")
+    computer.says(
+        f"run/udev/data/c{os.major(number)}:{os.minor(number)}", "G:x\nE:ID_MM_DEVICE_IGNORE=1"
+    )
+    _, found = check(WITH_HEAD.replace("PORT", "/dev/null"))
+    assert found["head port"][0] == "ok"
+
+
+def test_a_head_behind_the_network_has_no_rivals_here(check, computer: Computer) -> None:
+    computer.says(MODEM_MANAGER, "ModemManager")
+    _, found = check(WITH_HEAD.replace("PORT", "socket://127.0.0.1:1"))
+    assert "head port" not in found
+    state, text = found["head"]
+    assert state == "error"
+    assert "refuses the connection" in text

@@ -238,6 +238,22 @@ def test_every_mistake_is_reported_at_once(write) -> None:
             "schedule.burst_spacing_s: must be longer than the exposure of 1.9 s, is 0.5",
         ),
         (
+            '[pan_tilt]\nport = "tcp://10.0.0.3:4000"',
+            r'pan_tilt.port: "tcp://10.0.0.3:4000" has no way .* socket://HOST:PORT or rfc2217://',
+        ),
+        (
+            '[pan_tilt]\nport = "socket://10.0.0.3"',
+            "pan_tilt.port: .* needs host and port number, as socket://192.168.1.20:4000",
+        ),
+        (
+            '[pan_tilt]\nport = "rfc2217://10.0.0.3:99999"',
+            "pan_tilt.port: .* needs host and port number, as rfc2217://",
+        ),
+        (
+            '[pan_tilt]\nport = "rfc2217://10.0.0.3:4000?logging=debug"',
+            "pan_tilt.port: .* says more than host and port number",
+        ),
+        (
             "[pan_tilt]\npan_limits_deg = [5.0, -5.0]",
             r"pan_tilt.pan_limits_deg: the lower limit first, is \[5, -5\]",
         ),

@@ -147,13 +147,13 @@ def test_another_vendors_camera_with_the_same_number_is_not_taken_for_ours() -> 
 
 @pytest.mark.usefixtures("process")
 def test_what_is_found_instead_names_devices_without_a_number() -> None:
-    found = rf"finds {SERIAL}, Others Gr.*grabber \(which tells no serial number\)\. Check"
+    found = rf"finds {SERIAL}, Others Gr.*grabber \(which reports no serial number\)\. Check"
     with pytest.raises(DeviceLostError, match=found):
         GentlCamera("9", SETTINGS, producer("FOREIGN")).open()
 
 
 @pytest.mark.usefixtures("process")
-def test_a_producer_that_cannot_list_its_devices_is_told_in_its_words() -> None:
+def test_a_producer_that_cannot_list_its_devices_is_reported_in_its_words() -> None:
     with pytest.raises(DeviceLostError, match=r"cannot list .*device does not answer"):
         GentlCamera(SERIAL, SETTINGS, producer("BAD_DEVICE")).open()
 

@@ -7,7 +7,7 @@
  *     gcc -shared -fPIC -Wl,-z,nodelete producer.c -o producer.cti $(pkg-config ... aravis-0.8)
  *
  * With -D it has a habit of real producers:
- *   FOREIGN        lists a device of another vendor first, which tells no serial number
+ *   FOREIGN        lists a device of another vendor first, which reports no serial number
  *   TWICE          lists each camera twice, with the same id
  *   TWO_WAYS       lists each camera twice, first by a way on which it cannot be opened
  *   NAMESAKE       lists a device of another vendor with each camera's serial number
