@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -30,6 +30,16 @@ MIN_SOCKET_BUFFER = 1 << 20
 _discovery = threading.Lock()
 
 
+ARAVIS_VERSIONS = ("0.8", "0.10")
+"""Of its interface, the one that was tested with cameras first; Debian carries one of them."""
+
+
+def aravis_version(installed: Iterable[str]) -> str:
+    """Give the version to ask for; the first of ours where none is there, for the error's sake."""
+    there = set(installed)
+    return next((ours for ours in ARAVIS_VERSIONS if ours in there), ARAVIS_VERSIONS[0])
+
+
 def load_aravis() -> tuple[Any, Any]:
     """Give the Aravis namespace and GLib's error class.
 
@@ -38,7 +48,8 @@ def load_aravis() -> tuple[Any, Any]:
     try:
         import gi
 
-        gi.require_version("Aravis", "0.8")
+        installed = gi.Repository.get_default().enumerate_versions("Aravis")
+        gi.require_version("Aravis", aravis_version(installed))
         from gi.repository import Aravis, GLib
     except (ImportError, ValueError) as error:
         msg = (
