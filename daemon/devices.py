@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal, cast
 from daemon.config.model import Config
 from daemon.errors import ConfigError, HardwareError
 from drivers.clock import SteppedClock, SystemClock
+from drivers.genicam.serial_number import is_same_serial, places_of
 from drivers.pair import SynchronizedPair
 from drivers.protocols import Camera, CameraSettings, Clock, FramePairSource, PanTiltHead, Role
 
@@ -72,7 +73,7 @@ def _require_serials(config: Config, backend: str) -> None:
             problem = f"not set; {backend} finds a camera by its serial"
             raise _wrong(config, f"camera.{role}.serial", problem)
     serial = config.camera.sub.serial
-    if serial == config.camera.main.serial:
+    if is_same_serial(str(serial), str(config.camera.main.serial)):
         raise _wrong(config, "camera.sub.serial", f"{serial} is the main camera's as well")
 
 
@@ -130,8 +131,9 @@ def found_on_network(config: Config) -> dict[Role, str]:
     from drivers.genicam.aravis_device import network_addresses
 
     addresses = network_addresses(DISCOVERY_TIMEOUT_S)
-    serials = {role: str(config.camera.of(role).serial) for role in _ROLES}
-    return {role: addresses[serial] for role, serial in serials.items() if serial in addresses}
+    serials, places = list(addresses), list(addresses.values())
+    found = {role: places_of(str(config.camera.of(role).serial), serials) for role in _ROLES}
+    return {role: places[indices[0]] for role, indices in found.items() if indices}
 
 
 def open_simulated_rig(config: Config, clock: Clock) -> SimulatedRig:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from datetime import datetime
@@ -37,6 +37,11 @@ LAST_BACK_OFF_S = 30.0
 FAILURES_TO_REOPEN = 3
 """After so many frames missed in a row a camera is opened again though it did not say "lost"."""
 CLOSE_TIMEOUT_S = 5.0
+BETWEEN = "it was gone between two pairs"
+WATCH_EVERY_S = 0.5
+"""How often the cameras are looked at between two pairs."""
+WATCH_PAUSE_S = 5.0
+"""From one attempt to open a camera again between two pairs to the next."""
 
 
 class SynchronizedPair:
@@ -46,7 +51,8 @@ class SynchronizedPair:
     software; or the main camera is, where `main_triggers_sub`, and its line triggers the other. A
     call that hangs is left behind with its thread at the deadline, and the camera is not touched
     before the call returns; a lost camera is opened again, with a growing pause between the
-    attempts, so that a dead one costs a slot its deadline at most, and usually nothing.
+    attempts, so that a dead one costs a slot its deadline at most, and usually nothing. One that
+    says between two pairs that it was lost is opened again at once, so that it costs none.
     """
 
     def __init__(
@@ -76,9 +82,12 @@ class SynchronizedPair:
         self._timeout_s = timeout_s
         self._open_timeout_s = open_timeout_s
         self._grace_s = grace_s
+        self._watch: _Watch | None = None
 
     def prepare(self) -> None:
         """Open and arm both cameras. Raises DeviceError, within `open_timeout_s`."""
+        if self._watch is None:
+            self._watch = _Watch(self._lanes)
         self._both(_Lane.open_and_arm, "opening", self._open_timeout_s)
 
     def set_exposure(self, role: Role, exposure_us: float, gain_db: float | None) -> None:
@@ -108,6 +117,9 @@ class SynchronizedPair:
 
     def close(self) -> None:
         """Release both cameras, or leave behind one that hangs."""
+        watch, self._watch = self._watch, None
+        if watch is not None:
+            watch.end()
         for lane in self._lanes:
             lane.close()
 
@@ -147,6 +159,25 @@ def _is_unanswered(error: DeviceError, role: Role) -> bool:
     return isinstance(error, FrameTimeoutError) and error.role == role
 
 
+class _Watch:
+    """Looks between two pairs whether a camera was lost, and has it opened again."""
+
+    def __init__(self, lanes: Sequence[_Lane]) -> None:
+        self._lanes = lanes
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="cameras-watch", daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._ended.wait(WATCH_EVERY_S):
+            for lane in self._lanes:
+                lane.look_after()
+
+
 class _Lane:
     """One camera, its thread, and whether and when it may be used."""
 
@@ -175,6 +206,10 @@ class _Lane:
         """The wish that the open camera knows of."""
         self._seen: tuple[int, int] | None = None
         """The last frame's number and camera time."""
+        self._away = False
+        """Whether the camera was lost between two pairs and is not back."""
+        self._look_again_s = 0.0
+        """Monotonic time of the next attempt to open it between two pairs."""
         self._failures = 0
         self._pause_s = 0.0
         self._not_before_s = 0.0
@@ -184,9 +219,12 @@ class _Lane:
 
     def open_and_arm(self) -> None:
         """Open the camera if need be, tell it its exposure if that changed, and arm it."""
+        if self._open and self._camera.is_lost:
+            self.release()
+            self._open = False
         if not self._open:
             self._camera.open()
-            self._open, self._set = True, None
+            self._open, self._away, self._set = True, False, None
             if self._seen is not None and self._seen[1] == 0:
                 self._seen = None  # without a clock the numbers alone count, from one again
         wanted = self._wanted
@@ -194,6 +232,22 @@ class _Lane:
             self._camera.set_exposure(*wanted)
             self._set = wanted
         self._camera.arm()
+
+    def reopen(self) -> None:
+        """Open again, between two pairs, a camera that is lost or still away."""
+        if self._open and self._camera.is_lost:
+            _log.warning("camera_lost", role=self._role, serial=self._camera.serial, error=BETWEEN)
+            self.release()
+            self._open, self._away = False, True
+        if self._open or not self._away:
+            return
+        try:
+            self.open_and_arm()
+        except Exception as error:  # noqa: BLE001 - the next pair meets and reports it too
+            _log.info("camera_still_away", role=self._role, error=_as_text(error))
+            self.release()
+        else:
+            _log.info("camera_back", role=self._role, serial=self._camera.serial)
 
     def trigger_and_fetch(self, meeting: threading.Barrier, timeout_s: float) -> CapturedFrame:
         """Trigger together with the other camera, or through it, and fetch."""
@@ -223,6 +277,14 @@ class _Lane:
         return frame
 
     # ------------------------------------------------------------ in the caller's thread
+
+    def look_after(self) -> None:
+        """Have a lost camera opened again; for any thread, and at once."""
+        thread, now_s = self._thread, time.monotonic()
+        wanted = self._camera.is_lost or (self._away and not self._open)
+        if thread is not None and wanted and now_s >= self._look_again_s:
+            self._look_again_s = now_s + WATCH_PAUSE_S
+            thread.submit(self.reopen)
 
     def expose(self, exposure_us: float, gain_db: float | None) -> None:
         """Note how the next frames are to be exposed."""

@@ -103,6 +103,11 @@ class Camera(Protocol):
         """The serial number the camera is selected by."""
         ...
 
+    @property
+    def is_lost(self) -> bool:
+        """Whether the camera, opened, is known to be gone; asks nothing, at any time."""
+        ...
+
     def open(self) -> None:
         """Find the camera by serial, apply the settings, read them back, start acquisition."""
         ...

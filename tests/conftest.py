@@ -6,6 +6,9 @@ from pathlib import Path
 import pytest
 
 import daemon  # noqa: F401
+from tests.drivers.genicam.usb3 import bench
+
+bench.load()  # ahead of Aravis, whichever test loads that
 
 TALLY = "tally"
 HERE = Path(__file__).parent

@@ -1,81 +1,29 @@
 """USB3 Vision cameras as the kernel sees them: who may open them, how fast their link is.
 
-Nothing is opened. Attributes: Documentation/ABI/testing/sysfs-bus-usb of the kernel; class codes:
-USB3 Vision 1.1, 4.1 (interface EFh, 05h).
+Nothing is opened.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
 
 from daemon.checks import host
 from daemon.checks.finding import Finding, unless
 from daemon.config.reading import Config
 from daemon.errors import ExitCode
 from daemon.user_names import group_name
-from drivers.genicam.device import N_BUFFERS
+from drivers.genicam.aravis_device import USB_UNDER_WAY, buffers_for
+from drivers.genicam.serial_number import as_on_label
+from drivers.genicam.usb_bus import APPLY_RULES, UsbCamera, usb_cameras
 from drivers.protocols import Role
 
 USB3_MBIT_S = 5000
-USB3_VISION = ("ef", "05")
-FLIR = "1e10"
 USUAL_LIMIT_MB = 1000
-_RULES = "udevadm control --reload && udevadm trigger --action=change --subsystem-match=usb"
-"""Applies 60-dcam.rules to what is plugged in."""
-
-
-@dataclass(frozen=True, slots=True)
-class UsbCamera:
-    """A camera on the bus."""
-
-    directory: Path
-    """Of the device, in sys/bus/usb/devices."""
-    serial: str
-    product: str
-
-    def attribute(self, name: str) -> Path:
-        """Give the file of an attribute."""
-        return self.directory / name
-
-    @property
-    def node(self) -> Path:
-        """What is opened to talk to it."""
-        bus, device = (host.number(self.attribute(name)) for name in ("busnum", "devnum"))
-        return host.path(f"dev/bus/usb/{bus or 0:03d}/{device or 0:03d}")
-
-    def has_serial(self, serial: str | None) -> bool:
-        """Tell whether it is the camera of a config; FLIR's say theirs in hexadecimal here."""
-        if serial is None:
-            return False
-        hexadecimal = f"{int(serial):x}" if serial.isdecimal() else serial
-        return self.serial.lower().lstrip("0") in {serial.lower().lstrip("0"), hexadecimal.lower()}
-
-
-def usb_cameras() -> list[UsbCamera]:
-    """List the USB3 Vision cameras that are plugged in."""
-    cameras = []
-    for directory in sorted(host.path("sys/bus/usb/devices").glob("*")):
-        if ":" in directory.name or not (directory / "idVendor").exists():
-            continue  # an interface of a device
-        if host.text(directory / "idVendor") == FLIR or _speaks_usb3_vision(directory):
-            serial, product = (host.text(directory / name) or "" for name in ("serial", "product"))
-            cameras.append(UsbCamera(directory, serial, product or "camera"))
-    return cameras
-
-
-def _speaks_usb3_vision(device: Path) -> bool:
-    names = ("bInterfaceClass", "bInterfaceSubClass")
-    return any(
-        tuple(host.text(interface / name) for name in names) == USB3_VISION
-        for interface in device.glob(f"{device.name}:*")
-    )
 
 
 def check_usb(config: Config) -> Iterator[Finding]:
     """Look at every USB3 Vision camera, and at what the kernel grants all of them together."""
-    cameras = usb_cameras()
+    cameras = usb_cameras(host.ROOT)
     if not cameras:
         return
     yield _memory(config)
@@ -94,14 +42,15 @@ def _name(camera: UsbCamera, config: Config) -> str:
 
 def _memory(config: Config) -> Finding:
     limit_mb = host.number(host.path("sys/module/usbcore/parameters/usbfs_memory_mb"))
-    need_mb = sum(frame_bytes(config, role) for role in ("main", "sub")) * N_BUFFERS / 1e6
+    sizes = [frame_bytes(config, role) for role in ("main", "sub")]
+    need_mb = sum(min(size * buffers_for(size, on_usb=True), USB_UNDER_WAY) for size in sizes) / 1e6
     if limit_mb is None:
         return Finding("usb memory", "warning", "the kernel does not tell: modprobe usbcore")
     granted = "no limit" if limit_mb == 0 else f"{limit_mb} MB"
     text = f"{granted}, both cameras need {need_mb:.0f} MB"
     cure = (
         f"echo {USUAL_LIMIT_MB} > /sys/module/usbcore/parameters/usbfs_memory_mb;"
-        f" to keep it, install 60-dcam.rules and {_RULES}"
+        f" to keep it, install 60-dcam.rules and {APPLY_RULES}"
     )
     return unless(limit_mb == 0 or limit_mb >= need_mb, "usb memory", text, cure)
 
@@ -113,7 +62,7 @@ def frame_bytes(config: Config, role: str) -> int:
 
 
 def _camera(camera: UsbCamera, name: str, person: host.Person) -> Iterator[Finding]:
-    what = f"{camera.product} {camera.serial}".strip()
+    what = f"{camera.product} {as_on_label(camera.serial)}".strip()
     yield _access(camera, f"{name} access", what, person)
     mbit_s = host.number(camera.attribute("speed"))
     if mbit_s is None:
@@ -124,7 +73,7 @@ def _camera(camera: UsbCamera, name: str, person: host.Person) -> Iterator[Findi
     power = host.text(camera.attribute("power/control"))
     control = camera.attribute("power/control").relative_to(host.ROOT)
     text = "never put to sleep" if power == "on" else "may be put to sleep"
-    cure = f"echo on > /{control}; to keep it, install 60-dcam.rules and {_RULES}"
+    cure = f"echo on > /{control}; to keep it, install 60-dcam.rules and {APPLY_RULES}"
     yield unless(power in {"on", None}, f"{name} power", text, cure)
 
 
@@ -139,7 +88,7 @@ def _access(camera: UsbCamera, name: str, what: str, person: host.Person) -> Fin
         return Finding(name, "error", text, ExitCode.HARDWARE)
     text = (
         f"{person.name} may not open {what} ({node}, group {group}):"
-        f" install 60-dcam.rules and {_RULES}"
+        f" install 60-dcam.rules and {APPLY_RULES}"
     )
     if group == host.SERVICE_USER:
         text = (

@@ -49,6 +49,12 @@ class AravisCamera:
         """The serial number the camera is selected by."""
         return self._serial
 
+    @property
+    def is_lost(self) -> bool:
+        """Whether Aravis has said so since the camera was opened."""
+        opened = self._opened
+        return opened is not None and opened.session.is_lost
+
     def open(self) -> None:
         """Find the camera, apply the settings, read them back, start acquisition.
 

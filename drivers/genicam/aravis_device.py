@@ -15,6 +15,7 @@ from drivers.errors import DeviceHangsError, DeviceLostError, MissingLibraryErro
 from drivers.genicam.device import (
     CODE_OF_FORMAT,
     CONTROL_WAIT_S,
+    FOREIGN_ADVICE,
     N_BUFFERS,
     POLL_S,
     Grabbed,
@@ -22,9 +23,14 @@ from drivers.genicam.device import (
     NodeRefusedError,
     Value,
 )
+from drivers.genicam.serial_number import as_on_label, as_on_usb, places_of
+from drivers.genicam.usb_bus import why_not_on_usb
 from drivers.protocols import CameraSettings
 
 MIN_SOCKET_BUFFER = 1 << 20
+USB_UNDER_WAY = 8 << 20
+"""So many bytes Aravis asks a USB3 camera for in advance, and no more (arvuvstream.c)."""
+MOST_BUFFERS = 64
 
 # Discovery fills one table for the whole process; reading it must not meet another's update.
 _discovery = threading.Lock()
@@ -82,18 +88,34 @@ def find_device(aravis: Any, serial: str) -> str:
         (aravis.get_device_serial_nbr(i), aravis.get_device_id(i), aravis.get_device_address(i))
         for i in range(aravis.get_n_devices())
     ]
-    matches = [device_id for number, device_id, _ in found if number == serial]
+    matches = [found[i] for i in places_of(serial, [number for number, _, _ in found])]
     if len(matches) == 1:
-        return str(matches[0])
+        return str(matches[0][1])
     if matches:
-        msg = f"camera {serial}: {len(matches)} cameras have this serial number"
+        names = ", ".join(f"{number} at {address}" for number, _, address in matches)
+        msg = f"camera {serial}: {len(matches)} cameras have this serial number: {names}"
         raise DeviceLostError(msg)
-    others = ", ".join(sorted(f"{number} at {address}" for number, _, address in found))
+    others = ", ".join(
+        sorted(f"{as_on_label(number)} at {address}" for number, _, address in found)
+    )
     msg = (
-        f"camera {serial}: not found; there is {others or 'no camera at all'}. Check power, cable"
-        " and the serial number in the config"
+        f"camera {as_on_usb(serial)}: not found; there is {others or 'no camera at all'}."
+        f" {why_not_on_usb(serial) or 'Check power, cable and the serial number in the config'}"
     )
     raise DeviceLostError(msg)
+
+
+def buffers_for(frame_bytes: int, *, on_usb: bool) -> int:
+    """Give the number of buffers of a stream, one of which is always with us.
+
+    On USB the others exceed what Aravis asks for in advance: with fewer, Aravis 0.8.26 looks for
+    another one without a pause, and a processor is busy all day (aravis#652). Not for images below
+    130 kB: the end of a stream hangs in Aravis once in some ten thousand buffers (its wait for a
+    cancelled transfer begins after the look whether it has ended).
+    """
+    if not on_usb:
+        return N_BUFFERS + 1
+    return min(max(N_BUFFERS, USB_UNDER_WAY // frame_bytes + 2), MOST_BUFFERS)
 
 
 def network_addresses(timeout_s: float) -> dict[str, str]:
@@ -134,6 +156,9 @@ class AravisDevice:
         self._camera: Any = None
         self._device: Any = None
         self._stream: Any = None
+        self._held: Any = None
+        """The buffer of the last frame; see `pop`."""
+        self._on_usb = self._stopped = False
         self._payload_code = 0
 
     @property
@@ -146,6 +171,13 @@ class AravisDevice:
         """Whether Aravis has said that control over the device is lost."""
         return self._lost.is_set()
 
+    @property
+    def missing_data_advice(self) -> str:
+        """What to look at when data of a frame are missing."""
+        if self._on_usb:
+            return "check the USB cable, hub and port, and that usbfs_memory_mb is 1000"
+        return "check cable, switch, packet size, and that net.core.rmem_max exceeds four frames"
+
     def open(self) -> None:
         """Find the device and become the one program that controls it."""
         self._aravis, self._glib_error = load_aravis()
@@ -154,10 +186,10 @@ class AravisDevice:
                 msg = f"camera {self._serial}: discovery hangs in Aravis"
                 raise DeviceLostError(msg)
             try:
-                device_id = find_device(self._aravis, self._serial)
-                self._camera = self._aravis.Camera.new(device_id)
+                self._camera = self._opened(find_device(self._aravis, self._serial))
             finally:
                 _discovery.release()
+            self._on_usb = self._camera.is_uv_device()
             self._device = self._camera.get_device()
             # Fires in a thread of Aravis' own: it sets the flag and does nothing else. It must not
             # hold this object, or the device would never be released.
@@ -169,44 +201,60 @@ class AravisDevice:
 
     def open_stream(self, settings: CameraSettings) -> None:
         """Make the stream and its buffers."""
-        camera, aravis = self._camera, self._aravis
         self._payload_code = CODE_OF_FORMAT[settings.pixel_format]
         with _answers(self._glib_error):
-            if camera.is_uv_device():
+            if self._on_usb:
                 # The other mode loses frames and hangs before Aravis 0.8.28.
-                camera.uv_set_usb_mode(aravis.UvUsbMode.ASYNC)
-            if camera.is_gv_device() and settings.packet_size_bytes is None:
-                camera.gv_auto_packet_size()
-            payload = camera.get_payload()
-            self._stream = camera.create_stream(None, None)
-            if camera.is_gv_device():
-                # Aravis 0.8 keeps the kernel's default otherwise, a tenth of a frame, and asks for
-                # nothing twice. The kernel grants no more than net.core.rmem_max.
-                self._stream.set_property("socket-buffer", aravis.GvStreamSocketBuffer.FIXED)
-                self._stream.set_property("socket-buffer-size", max(4 * payload, MIN_SOCKET_BUFFER))
-                self._stream.set_property("packet-resend", aravis.GvStreamPacketResend.ALWAYS)
-            for _ in range(N_BUFFERS):
-                self._stream.push_buffer(aravis.Buffer.new_allocate(payload))
+                self._camera.uv_set_usb_mode(self._aravis.UvUsbMode.ASYNC)
+            elif settings.packet_size_bytes is None:
+                self._camera.gv_auto_packet_size()
+            self._make_stream()
+
+    def _make_stream(self) -> None:
+        payload = self._camera.get_payload()
+        self._stream = self._held = None
+        self._stream = self._camera.create_stream(None, None)
+        if not self._on_usb:
+            # Aravis 0.8 keeps the kernel's default otherwise, a tenth of a frame, and asks for
+            # nothing twice. The kernel grants no more than net.core.rmem_max.
+            gv = self._aravis
+            self._stream.set_property("socket-buffer", gv.GvStreamSocketBuffer.FIXED)
+            self._stream.set_property("socket-buffer-size", max(4 * payload, MIN_SOCKET_BUFFER))
+            self._stream.set_property("packet-resend", gv.GvStreamPacketResend.ALWAYS)
+        for _ in range(buffers_for(payload, on_usb=self._on_usb)):
+            self._stream.push_buffer(self._aravis.Buffer.new_allocate(payload))
 
     def start(self) -> None:
-        """Start acquisition."""
+        """Start acquisition.
+
+        On USB data that were lost put the stream out of step for good: leader, image and trailer
+        then come where Aravis waits for another of them. After a stop it is a new one.
+        """
         with _answers(self._glib_error):
+            if self._on_usb and self._stopped:
+                self._make_stream()
             self._camera.start_acquisition()
 
     def stop(self) -> None:
         """Stop acquisition."""
+        self._stopped = True
         with _answers(self._glib_error):
             self._camera.stop_acquisition()
 
     def pop(self, timeout_s: float) -> Grabbed | None:
-        """Give the next frame as a copy; its buffer is back in the stream."""
+        """Give the next frame as a copy; its buffer goes back when another frame has come.
+
+        On USB, Aravis up to 0.9.3 at least hands a buffer over and only then, in the same thread,
+        lets go of it: given back before that, it is filled again and lost with its frame. Another
+        frame from that thread shows that it has let go of the last one.
+        """
         buffer = self._stream.timeout_pop_buffer(int(1e6 * timeout_s))
         if buffer is None:
             return None
-        try:
-            return self._grabbed(buffer)
-        finally:
-            self._stream.push_buffer(buffer)
+        held, self._held = self._held, buffer
+        if held is not None:
+            self._stream.push_buffer(held)
+        return self._grabbed(buffer)
 
     def release(self) -> None:
         """Stop what runs and let go of everything."""
@@ -214,7 +262,23 @@ class AravisDevice:
             if self._stream is not None and not self._lost.is_set():
                 self.stop()
         finally:
-            self._stream = self._device = self._camera = None
+            self._stream = self._held = self._device = self._camera = None
+
+    def _opened(self, device_id: str) -> Any:
+        """Open it; wait a little for a program that is about to end and has it on USB."""
+        deadline_s = time.monotonic() + CONTROL_WAIT_S
+        while True:
+            try:
+                return self._aravis.Camera.new(device_id)
+            except self._glib_error as error:
+                if "LIBUSB_ERROR_BUSY" not in error.message:
+                    raise
+                if time.monotonic() > deadline_s:
+                    raise DeviceLostError(self._in_use()) from None
+            self._lost.wait(POLL_S)
+
+    def _in_use(self) -> str:
+        return f"camera {self._serial}: in use by another program, which must be stopped"
 
     def _take_control(self) -> None:
         """Become the one program that may set a GigE camera."""
@@ -223,8 +287,7 @@ class AravisDevice:
         deadline_s = time.monotonic() + CONTROL_WAIT_S
         while not self._device.is_controller():
             if time.monotonic() > deadline_s:
-                msg = f"camera {self._serial}: in use by another program, which must be stopped"
-                raise DeviceLostError(msg)
+                raise DeviceLostError(self._in_use())
             self._lost.wait(POLL_S)
             try:
                 self._device.take_control()
@@ -250,7 +313,7 @@ class AravisDevice:
         sample = np.dtype("u1" if code == CODE_OF_FORMAT["Mono8"] else "<u2")
         if code != self._payload_code or len(data) != shape[0] * shape[1] * sample.itemsize:
             problem = f"{shape[1]}x{shape[0]} px, pixel format {code:#010x}, {len(data)} bytes"
-            return Grabbed(frame_id, time_ns, None, problem)
+            return Grabbed(frame_id, time_ns, None, problem, FOREIGN_ADVICE)
         return Grabbed(frame_id, time_ns, np.frombuffer(data, sample).reshape(shape).copy())
 
 

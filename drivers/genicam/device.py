@@ -23,6 +23,10 @@ CONTROL_WAIT_S = 5.0
 POLL_S = 0.25
 """How often a waiting call looks again."""
 N_BUFFERS = 4
+FOREIGN_ADVICE = (
+    "it sends something else than it was set to, as when another program has left chunk data on:"
+    " switch it off and on"
+)
 
 
 class NodeRefusedError(Exception):
@@ -45,6 +49,8 @@ class Grabbed:
     """(height, width), a copy; None for an incomplete frame."""
     problem: str = ""
     """Why there are no pixels."""
+    advice: str | None = None
+    """What to do about that; None: what helps where data are missing."""
 
 
 class Features(Protocol):
@@ -97,6 +103,11 @@ class Device(Protocol):
     @property
     def is_lost(self) -> bool:
         """Whether the library has noticed by itself that the device is gone."""
+        ...
+
+    @property
+    def missing_data_advice(self) -> str:
+        """What to look at when data of a frame are missing."""
         ...
 
     def open(self) -> None:

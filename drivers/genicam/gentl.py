@@ -91,6 +91,12 @@ class GentlCamera:
         """The serial number the camera is selected by."""
         return self._serial
 
+    @property
+    def is_lost(self) -> bool:
+        """Whether its process has ended; of the camera itself a producer does not tell."""
+        worker = self._worker
+        return worker is not None and worker.process.poll() is not None
+
     def open(self) -> None:
         """Find the camera, apply the settings, read them back, start acquisition.
 

@@ -20,6 +20,7 @@ import structlog
 from drivers.errors import DeviceLostError, MissingLibraryError
 from drivers.genicam.device import (
     CONTROL_WAIT_S,
+    FOREIGN_ADVICE,
     N_BUFFERS,
     POLL_S,
     Grabbed,
@@ -72,6 +73,14 @@ class GentlDevice:
     def is_lost(self) -> bool:
         """A producer does not tell; its calls fail."""
         return False
+
+    @property
+    def missing_data_advice(self) -> str:
+        """What to look at when data of a frame are missing."""
+        return (
+            "check the cable; on GigE switch, packet size, and that net.core.rmem_max exceeds four"
+            " frames; on USB hub, port and usbfs_memory_mb"
+        )
 
     def open(self) -> None:
         """Load the producer, find the device and become the one program that controls it."""
@@ -209,7 +218,7 @@ class GentlDevice:
         samples = np.asarray(part.data)
         if part.data_format != self._format or samples.size != part.width * part.height:
             problem = f"{part.width}x{part.height} px of {part.data_format}"
-            return Grabbed(frame_id, time_ns, None, problem)
+            return Grabbed(frame_id, time_ns, None, problem, FOREIGN_ADVICE)
         # A view of the buffer, which is the producer's again after this.
         return Grabbed(frame_id, time_ns, samples.reshape(part.height, part.width).copy())
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivers.errors import DeviceLostError
+from drivers.genicam.serial_number import as_on_label, as_on_usb, places_of
 
 FREE = {None, 0, 1}
 """Access status that lets a device be opened: not reported, unknown, read and write (GenTL 1.5)."""
@@ -54,9 +55,8 @@ def find_entries(serial: str, listed: list[Listed], producer: str) -> list[Liste
     Raises DeviceLostError when there is none, or when they are of different cameras.
     """
     by_id: dict[str, Listed] = {}
-    for entry in listed:
-        if entry.serial == serial:
-            by_id.setdefault(entry.device_id, entry)
+    for i in places_of(serial, [entry.serial for entry in listed]):
+        by_id.setdefault(listed[i].device_id, listed[i])
     entries = sorted(by_id.values(), key=lambda entry: not entry.is_free)
     models = {entry.model for entry in entries}
     if len(models) > 1:
@@ -68,8 +68,8 @@ def find_entries(serial: str, listed: list[Listed], producer: str) -> list[Liste
     if entries:
         return entries
     msg = (
-        f"camera {serial}: not found; {producer} finds {_names(listed)}. Check power, cable and the"
-        " serial number in the config"
+        f"camera {as_on_usb(serial)}: not found; {producer} finds {_names(listed)}. Check power,"
+        " cable and the serial number in the config"
     )
     raise DeviceLostError(msg)
 
@@ -77,5 +77,8 @@ def find_entries(serial: str, listed: list[Listed], producer: str) -> list[Liste
 def _names(listed: list[Listed]) -> str:
     named = sorted({entry.serial for entry in listed if entry.serial})
     unnamed = sorted({entry.model or entry.device_id for entry in listed if not entry.serial})
-    names = [*named, *(f"{name} (which reports no serial number)" for name in unnamed)]
+    names = [
+        *map(as_on_label, named),
+        *(f"{name} (which reports no serial number)" for name in unnamed),
+    ]
     return ", ".join(names) or "no camera at all"

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import numpy as np
 import structlog
 
 from drivers.errors import (
@@ -14,6 +15,7 @@ from drivers.errors import (
     IncompleteFrameError,
     SettingRefusedError,
 )
+from drivers.genicam.byte_order import is_swapped
 from drivers.genicam.device import (
     BITS_OF_FORMAT,
     POLL_S,
@@ -46,6 +48,8 @@ class Session:
         self._unanswered = False
         self._last_id: int | None = None
         self._last_time_ns = 0
+        self._swapped = False
+        """Whether the bytes of its deep pixels were last seen in the wrong order."""
 
     @property
     def is_lost(self) -> bool:
@@ -143,27 +147,38 @@ class Session:
             _log.info("stale_frames_dropped", serial=self._serial, frames=stale)
 
     def _is_new(self, grabbed: Grabbed) -> bool:
-        """Whether frame counter and camera time went on since the last frame seen."""
-        repeated = grabbed.frame_id is not None and grabbed.frame_id == self._last_id
+        """Whether the frame counter went on; the camera's time decides only where it did not.
+
+        A camera's clock may be set, or start again after 128 s or 2**32 ticks.
+        """
+        number_went_on = grabbed.frame_id is None or grabbed.frame_id != self._last_id
         self._last_id = grabbed.frame_id
+        last_ns, time_ns = self._last_time_ns, grabbed.time_ns
         if grabbed.pixels is not None:  # a torn frame may carry the time of its buffer's last one
-            repeated |= 0 < grabbed.time_ns <= self._last_time_ns
-            self._last_time_ns = grabbed.time_ns
-        if repeated:
+            self._last_time_ns = time_ns
+        if not number_went_on and (grabbed.pixels is None or time_ns <= last_ns):
             _log.warning("stale_frame_refused", serial=self._serial, frame_id=grabbed.frame_id)
-        return not repeated
+            return False
+        if grabbed.pixels is not None and 0 < time_ns < last_ns:
+            _log.warning(
+                "camera_clock_went_back",
+                serial=self._serial,
+                before_s=1e-9 * last_ns,
+                now_s=1e-9 * time_ns,
+            )
+        return True
 
     def _frame(self, grabbed: Grabbed) -> CapturedFrame:
         if grabbed.pixels is None or grabbed.frame_id is None:
             name = "a frame" if grabbed.frame_id is None else f"frame {grabbed.frame_id}"
             msg = (
-                f"camera {self._serial}: {name} is incomplete ({grabbed.problem}); check cable,"
-                " switch, packet size, and that net.core.rmem_max exceeds four frames"
+                f"camera {self._serial}: {name} is incomplete ({grabbed.problem});"
+                f" {grabbed.advice or self._device.missing_data_advice}"
             )
             raise IncompleteFrameError(msg)
         self._require_shape(grabbed.pixels)
         return CapturedFrame(
-            pixels=grabbed.pixels,
+            pixels=self._in_order(grabbed.pixels),
             bits=BITS_OF_FORMAT[self._settings.pixel_format],
             frame_id=grabbed.frame_id,
             camera_time_ns=grabbed.time_ns,
@@ -172,6 +187,16 @@ class Session:
             gain_db=self._applied.gain_db,
             temperature_c=self._temperature_c,
         )
+
+    def _in_order(self, pixels: Image) -> Image:
+        """Put the bytes of deep pixels right where the image shows that they are swapped."""
+        if pixels.dtype != np.uint16:
+            return pixels
+        swapped = is_swapped(pixels, BITS_OF_FORMAT[self._settings.pixel_format])
+        if swapped is not None and swapped != self._swapped:
+            self._swapped = swapped
+            _log.warning("camera_byte_order", serial=self._serial, high_byte_first=swapped)
+        return pixels.byteswap() if self._swapped else pixels
 
     def _require_shape(self, pixels: Image) -> None:
         settings = self._settings

@@ -24,8 +24,14 @@ READBACK_TOLERANCE = 0.01
 _EXPOSURE_NAMES = ("ExposureTime", "ExposureTimeAbs")
 _GAIN_NAMES = ("Gain", "GainAbs")
 
-# What would change grey values or geometry behind our back, in the order it must be switched off.
+# What a camera comes up with or another program has left, and what would change grey values or
+# geometry behind our back, or what is sent; in the order in which it must be switched off.
 _NEUTRAL: tuple[tuple[str, Value], ...] = (
+    ("SequencerConfigurationMode", "Off"),
+    ("SequencerMode", "Off"),  # exposure and gain in turns
+    ("pgrHDRModeEnabled", False),  # the same of FLIR's GS3
+    ("ChunkModeActive", False),  # more bytes behind each image
+    ("pgrExposureCompensationAuto", "Off"),
     ("ExposureAuto", "Off"),
     ("GainAuto", "Off"),
     ("BlackLevelAuto", "Off"),
@@ -34,9 +40,12 @@ _NEUTRAL: tuple[tuple[str, Value], ...] = (
     ("AcquisitionFrameRateEnable", False),  # SFNC
     ("GammaEnabled", False),
     ("GammaEnable", False),
+    ("SharpnessAuto", "Off"),
     ("SharpnessEnabled", False),
     ("SharpeningEnable", False),
     ("LUTEnable", False),
+    ("DigitalShift", 0),
+    ("BinningSelector", "All"),
     ("BinningHorizontal", 1),
     ("BinningVertical", 1),
     ("DecimationHorizontal", 1),
@@ -44,7 +53,19 @@ _NEUTRAL: tuple[tuple[str, Value], ...] = (
     ("ReverseX", False),
     ("ReverseY", False),
     ("TestPattern", "Off"),
+    ("TestImageSelector", "Off"),
+    ("AcquisitionBurstFrameCount", 1),
+    ("TriggerOverlap", "Off"),
 )
+
+
+_ON_AT_POWER_UP = {
+    *("ExposureAuto", "GainAuto", "BlackLevelAuto", "SharpnessAuto", "pgrExposureCompensationAuto"),
+    *("AcquisitionFrameRateAuto", "AcquisitionFrameRateEnabled", "AcquisitionFrameRateEnable"),
+    *("GammaEnabled", "GammaEnable", "SharpnessEnabled", "SharpeningEnable", "TriggerOverlap"),
+    "BinningSelector",
+}
+"""Makers leave these on: to find one so says nothing of another program."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +84,7 @@ def apply_settings(features: Features, serial: str, settings: CameraSettings) ->
     writer = _Writer(features, serial)
     _require_features(features, serial, settings)
     for name, value in _NEUTRAL:
-        writer.set_if_there(name, value)
+        writer.set_if_there(name, value, foreign=name not in _ON_AT_POWER_UP)
     if features.has("Gamma") and not (features.has("GammaEnabled") or features.has("GammaEnable")):
         writer.set_if_there("Gamma", 1.0)
     writer.set_required("PixelFormat", settings.pixel_format)
@@ -72,6 +93,7 @@ def apply_settings(features: Features, serial: str, settings: CameraSettings) ->
     exposure_us = _set_exposure(writer, settings.exposure_us)
     gain_db = _set_gain(writer, settings.gain_db)
     _set_trigger(writer, settings.trigger)
+    writer.say_foreign()
     if settings.line_out is not None:
         _set_line_out(writer, settings.line_out)
     if settings.packet_size_bytes is not None:
@@ -181,6 +203,7 @@ def _set_trigger(writer: _Writer, trigger: TriggerIn | None) -> None:
             writer.set_if_there("TriggerSelector", selector)
             writer.set_if_there("TriggerMode", "Off")
         writer.set_required("TriggerSelector", "FrameStart")
+    _switch_off_delay(writer)
     # Some cameras let the source be changed only while the trigger is off. And no look at the
     # access mode: Aravis takes the GS3's TriggerSource for read-only, which it is not (aravis#684).
     if trigger is None:
@@ -190,8 +213,17 @@ def _set_trigger(writer: _Writer, trigger: TriggerIn | None) -> None:
     writer.set_required("TriggerMode", "On")
 
 
+def _switch_off_delay(writer: _Writer) -> None:
+    """A delay between trigger and exposure would be a skew of the pair."""
+    for name in ("TriggerDelayEnabled", "TriggerDelayEnable"):
+        writer.set_if_there(name, value=False, foreign=True)
+    delay = writer.first("TriggerDelay", "TriggerDelayAbs")
+    if delay is not None and writer.features.limits(delay)[0] <= 0.0:
+        writer.set_if_there(delay, 0.0, foreign=True)
+
+
 def _set_line_in(writer: _Writer, trigger: TriggerIn) -> None:
-    """Listen to an edge on a line; without delay, as it would be a skew of the pair."""
+    """Listen to an edge on a line."""
     if writer.features.has("LineSelector"):
         writer.set_required("LineSelector", trigger.line)
         if writer.features.has("LineMode"):
@@ -199,11 +231,6 @@ def _set_line_in(writer: _Writer, trigger: TriggerIn) -> None:
         writer.set_if_there("LineInverter", value=False)
     writer.set_required("TriggerSource", trigger.line)
     writer.set_required("TriggerActivation", trigger.activation)
-    for name in ("TriggerDelayEnabled", "TriggerDelayEnable"):
-        writer.set_if_there(name, value=False)
-    delay = writer.first("TriggerDelay", "TriggerDelayAbs")
-    if delay is not None and writer.features.limits(delay)[0] <= 0.0:
-        writer.set_if_there(delay, 0.0)
 
 
 def _set_line_out(writer: _Writer, out: LineOut) -> None:
@@ -221,6 +248,8 @@ class _Writer:
     def __init__(self, features: Features, serial: str) -> None:
         self.features = features
         self._serial = serial
+        self._foreign: dict[str, Value] = {}
+        """What was found set that no camera has at power-up."""
 
     def first(self, *names: str) -> str | None:
         return next((name for name in names if self.features.has(name)), None)
@@ -228,17 +257,35 @@ class _Writer:
     def refused(self, name: str, value: object, why: str) -> SettingRefusedError:
         return SettingRefusedError(f"camera {self._serial}: {name} = {value} refused: {why}")
 
-    def set_if_there(self, name: str, value: Value) -> None:
-        """Set what the camera may do without; a refusal is worth a warning only."""
+    def say_foreign(self) -> None:
+        """Log what another program, or a stored user set, has left in the camera."""
+        if self._foreign:
+            _log.warning("camera_left_by_another", serial=self._serial, found=self._foreign)
+
+    def set_if_there(self, name: str, value: Value, *, foreign: bool = False) -> None:
+        """Set what the camera may do without; a refusal is worth a warning only.
+
+        foreign: another value than this one is worth a line, though it is set right.
+        """
         if not self.features.has(name):
             return
         try:
+            if foreign:
+                self._note_foreign(name, value)
             actual = self._write(name, value)
         except SettingRefusedError as error:
             _log.warning("camera_setting_not_applied", serial=self._serial, reason=str(error))
             return
         if actual != value:
             self._log_difference(name, value, actual)
+
+    def _note_foreign(self, name: str, value: Value) -> None:
+        try:
+            found = self.features.read(name)
+        except NodeRefusedError:  # writing it will tell more
+            return
+        if found != value:
+            self._foreign[name] = found
 
     def set_required(self, name: str, value: str) -> None:
         if not self.features.has(name):

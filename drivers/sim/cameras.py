@@ -45,6 +45,11 @@ class SimulatedCamera:
         self._triggered: tuple[datetime, float, tuple[float, float]] | None = None
 
     @property
+    def is_lost(self) -> bool:
+        """It is missed only when it is asked for a frame."""
+        return False
+
+    @property
     def serial(self) -> str:
         """The serial number from the config."""
         return self._serial

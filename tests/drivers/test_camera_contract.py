@@ -1,7 +1,8 @@
-"""Every Camera keeps the same promises: through Aravis, through harvesters, and the simulated one.
+"""Every Camera keeps the same promises: GigE by Aravis and harvesters, USB3, the simulated one.
 
-The first two reach a real camera as far as software goes: a process of its own that speaks GigE
-Vision over UDP (`tests/gige`). Replayed frames come in pairs, without a camera.
+The first three reach a real camera as far as software goes: a process of its own that speaks GigE
+Vision over UDP or USB3 Vision over a stand-in for libusb. Replayed frames come in pairs, without a
+camera.
 """
 
 from __future__ import annotations
@@ -91,6 +92,11 @@ def genicam(name: KindName, directory: Path) -> Iterator[Bench]:
 
 
 @pytest.fixture
+def usb3(tmp_path: Path) -> Iterator[Bench]:
+    yield from genicam("usb3", tmp_path)
+
+
+@pytest.fixture
 def simulated() -> Bench:
     settings = SimSettings(
         scenarios=(Scenario("drift"), Scenario("bridge"), Scenario("camera_loss", 100, 110))
@@ -117,7 +123,7 @@ def simulated() -> Bench:
     )
 
 
-@pytest.fixture(params=["aravis", "harvesters", "simulated"])
+@pytest.fixture(params=["aravis", "harvesters", "usb3", "simulated"])
 def bench(request: pytest.FixtureRequest) -> Bench:
     chosen: Bench = request.getfixturevalue(request.param)
     return chosen

@@ -74,6 +74,7 @@ class FaultyCamera:
 
     def __init__(self, serial: str, clock: Clock) -> None:
         self.serial = serial
+        self.is_lost = False
         self.fault: Fault | None = None
         self.misused: list[str] = []
         self.hang = Hang()

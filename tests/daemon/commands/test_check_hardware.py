@@ -162,7 +162,7 @@ def test_usb_memory_of_the_kernel_is_too_small_for_two_cameras(check, computer: 
         assert check(full)[1]["usb memory"][0] == state
     computer.says(memory, 16)
     text = check(full)[1]["usb memory"][1]
-    assert "16 MB, both cameras need 18 MB" in text
+    assert "16 MB, both cameras need 17 MB" in text
     assert "echo 1000 > /sys/module/usbcore/parameters/usbfs_memory_mb" in text
 
 

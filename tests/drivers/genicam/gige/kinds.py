@@ -1,4 +1,4 @@
-"""The implementations of a GenICam camera, each over the same camera processes."""
+"""The ways to a GenICam camera: Aravis and harvesters over GigE Vision, Aravis over USB3 Vision."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from drivers.genicam.gentl import GentlCamera
 from drivers.protocols import Camera, CameraSettings, Role
 from tests.drivers.genicam.gentl.bench import genapi_xml, producer
 from tests.drivers.genicam.gige.process import CameraProcess
+from tests.drivers.genicam.usb3.bench import Usb3Process, require_bus
 
-KindName = Literal["aravis", "harvesters"]
-KINDS: tuple[KindName, ...] = ("aravis", "harvesters")
+KindName = Literal["aravis", "harvesters", "usb3"]
+KINDS: tuple[KindName, ...] = ("aravis", "harvesters", "usb3")
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,18 +27,22 @@ class Kind:
     """Of serial number, settings and role."""
     options: tuple[str, ...]
     """What its camera process needs."""
+    process_class: type[CameraProcess] = CameraProcess
 
     def process(
         self, address: str, serial: str, images: Sequence[Path], options: Sequence[str] = ()
     ) -> CameraProcess:
         """A camera process for it."""
-        return CameraProcess(address, serial, images, [*self.options, *options])
+        return self.process_class(address, serial, images, [*self.options, *options])
 
 
 def kind_of(name: KindName) -> Kind:
     """Give an implementation; skips where what it needs is missing."""
     if name == "aravis":
         return Kind(name, AravisCamera, ())
+    if name == "usb3":
+        require_bus()
+        return Kind(name, AravisCamera, (), Usb3Process)
     cti = producer()
     return Kind(
         name,

@@ -1,4 +1,4 @@
-"""Start, command, kill and restart the camera of `tests.drivers.genicam.gige.server`."""
+"""Start, command, kill and restart a camera that is a process, as `gige.server`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Self
+from typing import ClassVar, Self
 
 from tests.waiting import PATIENCE_S
 
@@ -20,12 +20,16 @@ REPOSITORY = Path(__file__).resolve().parents[4]
 class CameraProcess:
     """One camera in a process of its own."""
 
+    module: ClassVar[str] = "tests.drivers.genicam.gige.server"
+    place: ClassVar[str] = "--address"
+    """Its option that says where it is found."""
+
     def __init__(
         self, address: str, serial: str, images: Sequence[Path], options: Sequence[str] = ()
     ) -> None:
         self.address = address
         self.serial = serial
-        self._arguments = ["--address", address, "--serial", serial, *options, *map(str, images)]
+        self._arguments = [self.place, address, "--serial", serial, *options, *map(str, images)]
         self._process: subprocess.Popen[str] | None = None
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._reader: threading.Thread | None = None
@@ -37,7 +41,7 @@ class CameraProcess:
     def start(self) -> Self:
         """Start and wait until the camera answers."""
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.drivers.genicam.gige.server", *self._arguments],
+            [sys.executable, "-m", self.module, *self._arguments],
             cwd=REPOSITORY,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,

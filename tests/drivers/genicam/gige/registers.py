@@ -19,3 +19,32 @@ def double_words(value: float) -> tuple[int, int]:
     """A number as the two registers that hold it."""
     high, low = struct.unpack(">II", struct.pack(">d", value))
     return high, low
+
+
+def packed(value: float) -> bytes:
+    """A number as it stands in a register: a float in 8 bytes, an integer in 4."""
+    return struct.pack(">d" if isinstance(value, float) else ">I", value)
+
+
+def after_power_up(width: int, height: int) -> dict[int, int | float]:
+    """Give the registers of a GS3 after power-up: automatic modes and gamma on."""
+    return {
+        SENSOR_WIDTH: width,
+        SENSOR_HEIGHT: height,
+        WIDTH: width,
+        HEIGHT: height,
+        FRAME_RATE_ENABLED: 1,
+        FRAME_RATE_AUTO: 2,
+        EXPOSURE_AUTO: 2,
+        GAIN_AUTO: 2,
+        GAMMA_ENABLED: 1,
+        TRIGGER_SELECTOR: 1,
+        REVERSE_X: 1,
+        WAITS_FOR_TRIGGER: 1,
+        TRIGGER_SOURCE: 0,
+        LINE_MODE + 4: OUTPUT,
+        EXPOSURE_TIME: 6118.0,
+        GAIN: 12.5,
+        GAMMA: 1.25,
+        TEMPERATURE: 41.5,
+    }

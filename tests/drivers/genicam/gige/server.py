@@ -35,15 +35,7 @@ from gi.repository import Aravis  # noqa: E402  (the version must be asked for f
 
 from tests.drivers.genicam.gige.registers import (  # noqa: E402
     EXPOSURE_ACTIVE,
-    EXPOSURE_AUTO,
-    EXPOSURE_TIME,
     FIRE,
-    FRAME_RATE_AUTO,
-    FRAME_RATE_ENABLED,
-    GAIN,
-    GAIN_AUTO,
-    GAMMA,
-    GAMMA_ENABLED,
     HEIGHT,
     LINE_MODE,
     LINE_SOURCE,
@@ -51,16 +43,12 @@ from tests.drivers.genicam.gige.registers import (  # noqa: E402
     OFFSET_X,
     OFFSET_Y,
     OUTPUT,
-    REVERSE_X,
     RISING_EDGE,
-    SENSOR_HEIGHT,
-    SENSOR_WIDTH,
-    TEMPERATURE,
     TRIGGER_ACTIVATION,
-    TRIGGER_SELECTOR,
     TRIGGER_SOURCE,
-    WAITS_FOR_TRIGGER,
     WIDTH,
+    after_power_up,
+    packed,
 )
 
 GS3_XML = Path(__file__).with_name("gs3.xml")
@@ -93,16 +81,12 @@ class FakeCamera:
 
     def _power_up(self, height: int, width: int) -> None:
         """Give the state of a GS3 after power-up: automatic modes and gamma on."""
-        self._write({SENSOR_WIDTH: width, SENSOR_HEIGHT: height, WIDTH: width, HEIGHT: height})
-        self._write({FRAME_RATE_ENABLED: 1, FRAME_RATE_AUTO: 2, EXPOSURE_AUTO: 2, GAIN_AUTO: 2})
-        self._write({GAMMA_ENABLED: 1, TRIGGER_SELECTOR: 1, REVERSE_X: 1})
-        self._write({WAITS_FOR_TRIGGER: 1, TRIGGER_SOURCE: 0, LINE_MODE + 4: OUTPUT})
-        self._write({EXPOSURE_TIME: 6118.0, GAIN: 12.5, GAMMA: 1.25, TEMPERATURE: 41.5})
+        self._write(after_power_up(width, height))
 
     def _write(self, registers: dict[int, int | float]) -> None:
         for address, value in registers.items():
-            packed = struct.pack(">d" if isinstance(value, float) else ">I", value)
-            for offset, (word,) in enumerate(struct.iter_unpack(">I", packed)):
+            data = packed(value)
+            for offset, (word,) in enumerate(struct.iter_unpack(">I", data)):
                 self._camera.write_register(address + 4 * offset, word)
 
     def register(self, address: int) -> int:

@@ -1,0 +1,89 @@
+"""A USB bus for the tests: `libusb.c` in place of the library, cameras that are processes."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar
+
+import pytest
+
+from tests.drivers.genicam.gige.process import CameraProcess
+
+SOURCE = Path(__file__).with_name("libusb.c")
+HEADER = Path("/usr/include/libusb-1.0/libusb.h")
+NAME = "libusb-1.0.so.0"
+BUS = "DCAM_TEST_USB_BUS"
+SLOW_EVENTS = "DCAM_TEST_USB_SLOW_EVENTS"
+
+
+class NoBusError(Exception):
+    """The stand-in for libusb cannot be built here; the message says what to install."""
+
+
+@functools.cache
+def library() -> Path:
+    """Build the stand-in, or find the one built before. Raises NoBusError."""
+    if shutil.which("gcc") is None or not HEADER.is_file():
+        msg = "no gcc or no libusb.h; apt-get install gcc libc6-dev libusb-1.0-0-dev"
+        raise NoBusError(msg)
+    digest = hashlib.sha256(SOURCE.read_bytes()).hexdigest()[:16]
+    folder = Path(tempfile.gettempdir()) / f"dcam-usb3-{os.getuid()}-{digest}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    built = folder / NAME
+    if not built.exists():
+        part = folder / f"{os.getpid()}.part"
+        options = ["-O1", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", f"-Wl,-soname,{NAME}"]
+        subprocess.run(["gcc", *options, SOURCE, "-o", part, "-lpthread"], check=True)
+        part.replace(built)  # whoever builds it at the same time builds the same
+    return built
+
+
+@functools.cache
+def load() -> bool:
+    """Have Aravis, once it is loaded, find the stand-in: the loader takes a library by its name.
+
+    To be called before Aravis is loaded. False where it cannot be built.
+    """
+    try:
+        ctypes.CDLL(str(library()))
+    except NoBusError:
+        return False
+    return True
+
+
+def require_bus() -> Path:
+    """Give the bus, the same for this process and its children; skips where there can be none."""
+    if "gi.repository.Aravis" in sys.modules:
+        assert str(library()) in Path("/proc/self/maps").read_text(), "load() came too late"
+    if not load():
+        with pytest.raises(NoBusError) as error:
+            library()
+        pytest.skip(f"USB3 cameras: {error.value}")
+    return Path(os.environ.setdefault(BUS, tempfile.mkdtemp(prefix="dcam-usb-")))
+
+
+def environment() -> dict[str, str]:
+    """What a program needs so that Aravis finds the bus."""
+    bus = require_bus()
+    return {**os.environ, BUS: str(bus), "LD_LIBRARY_PATH": str(library().parent)}
+
+
+class Usb3Process(CameraProcess):
+    """A camera at a port of the bus."""
+
+    module: ClassVar[str] = "tests.drivers.genicam.usb3.server"
+    place: ClassVar[str] = "--port"
+
+    def __init__(
+        self, port: str, serial: str, images: Sequence[Path], options: Sequence[str] = ()
+    ) -> None:
+        super().__init__(str(require_bus() / f"{port}.usb"), serial, images, options)
