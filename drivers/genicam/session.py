@@ -154,12 +154,13 @@ class Session:
         number_went_on = grabbed.frame_id is None or grabbed.frame_id != self._last_id
         self._last_id = grabbed.frame_id
         last_ns, time_ns = self._last_time_ns, grabbed.time_ns
-        if grabbed.pixels is not None:  # a torn frame may carry the time of its buffer's last one
-            self._last_time_ns = time_ns
-        if not number_went_on and (grabbed.pixels is None or time_ns <= last_ns):
+        if grabbed.pixels is None:  # it may carry the time of its buffer's last one
+            return number_went_on
+        self._last_time_ns = time_ns
+        if not number_went_on and time_ns <= last_ns:
             _log.warning("stale_frame_refused", serial=self._serial, frame_id=grabbed.frame_id)
             return False
-        if grabbed.pixels is not None and 0 < time_ns < last_ns:
+        if 0 < time_ns < last_ns:
             _log.warning(
                 "camera_clock_went_back",
                 serial=self._serial,

@@ -14,6 +14,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
+import cv2
+import numpy as np
 import pytest
 
 from tests.drivers.genicam.gige.process import CameraProcess
@@ -87,3 +89,10 @@ class Usb3Process(CameraProcess):
         self, port: str, serial: str, images: Sequence[Path], options: Sequence[str] = ()
     ) -> None:
         super().__init__(str(require_bus() / f"{port}.usb"), serial, images, options)
+
+
+def write_night(directory: Path, height_px: int, width_px: int) -> Path:
+    """A dark image, in which the search for a target ends soon."""
+    path = directory / "night.png"
+    cv2.imwrite(str(path), np.full((height_px, width_px), 9, np.uint8))
+    return path

@@ -13,7 +13,8 @@ write memory, then leader, payload and trailer of each frame. It is driven as th
     edge 3       a rising edge arrives at this line (no answer)
     fault NAME   from now on: `duplicate` (each frame twice), `swapped` (bytes of a 16-bit pixel),
                  `clock-back` (its time starts again each second), `stalled` (commands are not
-                 answered), `denied` (may not be opened); `none` ends it
+                 answered), `denied` (may not be opened), `busy` (another program has
+                 it); `none` ends it
     power-cut    lose all state and every connection, be back at once
 """
 
@@ -153,7 +154,7 @@ class Camera:
     def _answer(self, handle: bytes, request: bytes) -> bytes | None:
         if request in {b"claim", b"release"}:
             with self._lock:
-                free = self._owner in {None, handle}
+                free = self._owner in {None, handle} and self.fault != "busy"
                 if free:
                     self._owner = handle if request == b"claim" else None
             return struct.pack("<i", 0 if free else BUSY)
