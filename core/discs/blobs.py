@@ -23,12 +23,15 @@ _MIN_CONTRAST_DN = 4.0
 # Added to how much the grey values vary along an edge. Chosen: about the noise of an 8-bit
 # image, so that an edge without any variation is not infinitely even.
 _NOISE_DN = 2.0
-_FEWEST_PEAKS, _PIXELS_A_PEAK = 400, 1500
+_FEWEST_PEAKS, _PIXELS_A_PEAK = 600, 1000
 """So many peaks are outlined, the most even, or one for so many pixels. Chosen: rendered plates
 have some tens. This bounds the work on noise, foliage and snow."""
 _FEWEST_STEPS, _STEPS_A_PIXEL = 100_000, 0.25
 """So many steps are taken along borders, or so many for each pixel. Chosen: a round spot takes a
 hundred at all levels, so that all peaks can be outlined if a half of them is round."""
+_BLUR_PX, _FULL_SIZE_BLUR_PX = 1.0, 0.7
+"""1 sigma, px of the image searched: against noise. Chosen: less than half of the least half axis;
+the lens has blurred the full image already."""
 _MOST_REGIONS = 2000
 """Round regions, the sharpest, among which concentric ones are sought; that takes the
 square of their number. A plate has some at each size that is searched."""
@@ -65,8 +68,16 @@ class Blobs:
         )
 
     def clearest(self, most: int) -> Blobs:
-        """Give the most even ones, at most so many."""
-        return self.select(np.sort(np.argsort(-self.evenness, kind="stable")[:most]))
+        """Give the most even ones of each size, a factor of two, at most so many in all.
+
+        So a thousand snowflakes do not displace a plate whose discs are larger.
+        """
+        order = np.argsort(-self.evenness, kind="stable")
+        size = np.floor(np.log2(self.radius_px[order])).astype(np.int64)
+        rank = np.zeros(len(order), dtype=np.int64)
+        for each in np.unique(size):
+            rank[size == each] = np.arange(np.count_nonzero(size == each))
+        return self.select(np.sort(order[np.argsort(rank, kind="stable")[:most]]))
 
 
 NO_BLOBS = Blobs(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0))
@@ -120,8 +131,8 @@ def find_blobs(pixels: PixelArray, shrinks: Sequence[int]) -> tuple[Blobs, Work]
     parts: list[Blobs] = []
     sharpness: list[FloatArray] = []
     work = Work()
-    for shrink, small in _shrunk(pixels, shrinks):
-        blobs, sharp, cost = _blobs_at(small, shrink)
+    for shrink, smooth, finer in _shrunk(pixels, shrinks):
+        blobs, sharp, cost = _blobs_at(smooth, finer, shrink)
         parts.append(blobs)
         sharpness.append(sharp)
         work += cost
@@ -145,46 +156,51 @@ def join_blobs(parts: Sequence[Blobs]) -> Blobs:
     )
 
 
-def _shrunk(pixels: PixelArray, shrinks: Sequence[int]) -> Iterator[tuple[int, FloatArray]]:
-    """The image, float32, at 1/shrink of its size by means of blocks; the largest first.
+def _shrunk(
+    pixels: PixelArray, shrinks: Sequence[int]
+) -> Iterator[tuple[int, FloatArray, FloatArray]]:
+    """Images at 1/shrink of the size, blurred a little, float32, each with the one before it.
 
-    What is left over at the far borders is dropped.
+    By means of blocks; what is left over at the far borders is dropped. The largest comes first.
     """
     small: FloatArray = np.asarray(pixels, dtype=np.float32)
-    shrink = 1
+    shrink, finer = 1, None
     while shrinks and shrink <= max(shrinks):
-        if shrink in shrinks:
-            yield shrink, small
+        smooth = None
+        if shrink in shrinks or 2 * shrink in shrinks:
+            sigma = _BLUR_PX if shrink > 1 else _FULL_SIZE_BLUR_PX
+            smooth = np.asarray(cv2.GaussianBlur(small, (0, 0), sigma), dtype=np.float32)
+        if shrink in shrinks and smooth is not None:
+            yield shrink, smooth, smooth if finer is None else finer
         height, width = small.shape[0] // 2, small.shape[1] // 2
         even = small[: 2 * height, : 2 * width]
         small = np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA))
-        shrink *= 2
+        shrink, finer = 2 * shrink, smooth
 
 
-def _blobs_at(small: FloatArray, shrink: int) -> tuple[Blobs, FloatArray, Work]:
+def _blobs_at(smooth: FloatArray, finer: FloatArray, shrink: int) -> tuple[Blobs, FloatArray, Work]:
     """Blobs of a size, the gradient (n,) at their edges, DN per px of the whole image, the cost."""
-    sigma = 1.0 if shrink > 1 else 0.7
-    smooth = np.asarray(cv2.GaussianBlur(small, (0, 0), sigma), dtype=np.float32)
     peaks = find_peaks(smooth, _MIN_CONTRAST_DN, _NOISE_DN)
     most = max(_FEWEST_PEAKS, smooth.size // _PIXELS_A_PEAK)
     peaks = peaks[np.argsort(-peaks[:, 4], kind="stable")[:most]]
     most_steps = max(_FEWEST_STEPS, int(_STEPS_A_PIXEL * smooth.size))
     regions, steps = outline_peaks(smooth, peaks, most_steps)
-    blobs, bright = _bright_ones(smooth, regions, shrink)
+    blobs, bright = _bright_ones(finer, regions, shrink)
     return blobs, regions[bright, 5] / shrink, Work(smooth.size, len(peaks), steps)
 
 
-def _bright_ones(smooth: FloatArray, regions: FloatArray, shrink: int) -> tuple[Blobs, BoolArray]:
+def _bright_ones(finer: FloatArray, regions: FloatArray, shrink: int) -> tuple[Blobs, BoolArray]:
     """Those brighter than their surroundings, at the full image's size, and which these are."""
     angle = regions[:, 4]
     axes = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     along = axes[:, :, None] * axes[:, None, :]
     a, b = regions[:, 2, None, None], regions[:, 3, None, None]
-    outline = a * along + b * (np.eye(2) - along)
-    contrast, evenness = _contrast(smooth, regions[:, :2], outline)
+    outline = shrink * (a * along + b * (np.eye(2) - along))
+    points = (regions[:, :2] + 0.5) * shrink - 0.5
+    half = max(1, shrink // 2)
+    contrast, evenness = _contrast(finer, (points + 0.5) / half - 0.5, outline / half)
     bright = contrast >= _MIN_CONTRAST_DN
-    points = (regions[bright, :2] + 0.5) * shrink - 0.5
-    return Blobs(points, outline[bright] * shrink, contrast[bright], evenness[bright]), bright
+    return Blobs(points[bright], outline[bright], contrast[bright], evenness[bright]), bright
 
 
 def _contrast(

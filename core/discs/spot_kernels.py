@@ -26,6 +26,9 @@ _WAY_U = np.rint(_WAY_PX.real).astype(np.int64)
 _WAY_V = np.rint(_WAY_PX.imag).astype(np.int64)
 _QUARTER, _HALF, _THREE_QUARTERS = 3, 7, 12
 """Ranks among the darkest values of the ways."""
+_STILL_FALLING = 0.5
+"""A way ends where it falls no further, by this share of what it has fallen: beyond the dark about
+a disc another thing may be darker."""
 LEAST_HALF_AXIS_PX, MOST_HALF_AXIS_PX = 2.5, 12.0
 """Of the shorter half axis, px of the image searched. Chosen: a smaller spot is too coarse to have
 an outline, a larger one is found in an image of half the size."""
@@ -98,17 +101,28 @@ def _sort(values: Grey) -> None:
 
 
 @compiled
-def _surroundings(grey: Grey, u: int, v: int, darkest: Grey) -> None:
-    """Sort the darkest values (16,) on the ways out from a pixel; the image goes on at its edge."""
+def _surroundings(
+    grey: Grey, u: int, v: int, least_dn: float, darkest: Grey, first_dark: Grey
+) -> None:
+    """Sort the darkest values (16,) on the ways out from a pixel, and those where a fall ends.
+
+    The image goes on at its edge.
+    """
     last_v, last_u = grey.shape[0] - 1, grey.shape[1] - 1
+    here = grey[v, u]
+    enough = here - least_dn
     for way in range(_WAYS):
-        least = grey[v, u]
+        least, first, falls = here, here, True
         for step in range(_WAY_U.shape[1]):
             to_v = min(max(v + _WAY_V[way, step], 0), last_v)
             to_u = min(max(u + _WAY_U[way, step], 0), last_u)
-            least = min(least, grey[to_v, to_u])
-        darkest[way] = least
+            there = grey[to_v, to_u]
+            falls &= first > enough or first - there > _STILL_FALLING * (here - first)
+            first = min(first, there) if falls else first
+            least = min(least, there)
+        darkest[way], first_dark[way] = least, first
     _sort(darkest)
+    _sort(first_dark)
 
 
 @compiled
@@ -116,21 +130,22 @@ def _peaks_among(
     grey: Grey, at: IntArray, most: Grey, about: Grey, least_dn: float, noise_dn: float
 ) -> FloatArray:
     count, peaks = 0, np.empty((most.size // 4 + 1, 5))
-    darkest = np.empty(_WAYS, np.float32)
+    darkest, first_dark = np.empty((2, _WAYS), np.float32)
     for block_v in range(1, most.shape[0] - 1):
         for block_u in range(1, most.shape[1] - 1):
             here = most[block_v, block_u]
             if here < about[block_v, block_u] or not _is_first(most, block_v, block_u):
                 continue
             v, u = at[block_v, block_u, 0], at[block_v, block_u, 1]
-            _surroundings(grey, u, v, darkest)
-            if here - darkest[_THREE_QUARTERS] < least_dn or count == len(peaks):
+            _surroundings(grey, u, v, least_dn, darkest, first_dark)
+            if here - first_dark[_THREE_QUARTERS] < least_dn or count == len(peaks):
                 continue
             dark = 0.5 * (darkest[_HALF] + darkest[_HALF + 1])
-            varies = darkest[_THREE_QUARTERS] - darkest[_QUARTER]
+            varies = first_dark[_THREE_QUARTERS] - first_dark[_QUARTER]
             peaks[count, 0], peaks[count, 1] = u, v
             peaks[count, 2], peaks[count, 3] = here, dark
-            peaks[count, 4] = (here - dark) / (varies + noise_dn)
+            step = here - 0.5 * (first_dark[_HALF] + first_dark[_HALF + 1])
+            peaks[count, 4] = step / (varies + noise_dn)
             count += 1
     return peaks[:count]
 
