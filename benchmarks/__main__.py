@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 
 from benchmarks.accuracy import FRAMES, SLOW_FRAMES, Accuracy, measure_accuracy
+from benchmarks.finders import FinderCost, measure_finders, worst
 from benchmarks.memory import SETTLED_AT, MemoryUse, measure_memory
 from benchmarks.pair import CONFIG, PAIRS, PairCost, measure_cost
 from benchmarks.record import ROWS, RecordCost, measure_record
@@ -39,7 +40,7 @@ def main() -> None:
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     cv2.setNumThreads(1)
     pair, accuracies = measure_cost(), measure_accuracy(load_config(CONFIG).site())
-    text = page(pair, accuracies, memory, status, record)
+    text = page(pair, accuracies, memory, status, record, measure_finders())
     print(text)
     if options.output:
         options.output.write_text(text + soak_section(options.output), encoding="utf-8")
@@ -58,11 +59,12 @@ def page(
     memory: MemoryUse,
     status: StatusCost,
     record: RecordCost,
+    finders: list[FinderCost],
 ) -> str:
     """Write the results as one Markdown page."""
     rows = [row for accuracy in accuracies for row in accuracy_rows(accuracy)]
     rows += [*time_rows(pair, accuracies[0]), memory_row(memory), status_row(status)]
-    rows += record_rows(record)
+    rows += [*record_rows(record), *finder_rows(finders)]
     table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
     libraries = ", ".join(f"{name} {version(name)}" for name in LIBRARIES)
     return f"""# Benchmarks
@@ -115,6 +117,11 @@ every cache has been filled. Growth: {memory.growth_kb_per_slot:.2f} kB a slot.
 **A long record**: whole commands on {record.rows} rows and their gaps, against a process in which
 Python's `sqlite3` fetches all columns of the rows, and no more: a row's checksum is of all of them.
 CPU time; the memory is the most that was resident. `python -m benchmarks.record` runs these alone.
+
+**Finders** on images that show no target: noise, a grid of lines 4 px apart, ellipses as dense as
+foliage, discs as dense as snow, black. The row is of the image that costs most. Its decoding is
+that of the image itself or of noise of its size, whichever takes longer, as black is decoded in
+no time. `python -m benchmarks.finders` gives all.
 """
 
 
@@ -164,6 +171,13 @@ def record_rows(record: RecordCost) -> Iterator[Row]:
     for name, cost in record.commands.items():
         what = f"time of `{name}`, {record.rows} rows, {cost.peak_mb:.0f} MB: fetching them"
         yield row(what, cost.cpu_s, record.fetch.cpu_s, lambda x: f"{x:.1f} s")
+
+
+def finder_rows(costs: list[FinderCost]) -> Iterator[Row]:
+    """Rows on looking for targets where there are none."""
+    for cost in worst(costs):
+        what = f"time of `{cost.finder}` without a target, {cost.size}, {cost.image}: decoding"
+        yield row(what, cost.find_s, cost.decode_s, ms)
 
 
 def memory_row(memory: MemoryUse) -> Row:

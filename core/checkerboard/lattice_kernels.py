@@ -127,10 +127,9 @@ def largest_component(arms: FloatArray, links: IntArray) -> tuple[IntArray, IntA
     for seed in range(n):
         if not unseen[seed]:
             continue
-        labelled[:] = False
         count = grow(seed, arms, links, labels, labelled, taken, queue)
         index = queue[:count].copy()
-        unseen[index] = False
+        unseen[index] = labelled[index] = False
         if count > len(best[0]):
             best = index, labels[index].copy()
     return best

@@ -22,8 +22,9 @@ _LOCAL_SHRINK, _LOCAL_CELLS = 0.125, 25
 _LEAST_LOCAL_SHARE, _LEAST_STRENGTH = 0.15, 0.05
 """A candidate's strength over its neighbourhood's, and in DN^2/px^4. Chosen low: the ring
 decides."""
-_MOST_CANDIDATES = 20_000
-"""The strongest; a board has some thousand corners, and noise must not cost minutes."""
+_FEWEST_CANDIDATES, _PIXELS_A_CANDIDATE, _MOST_CANDIDATES = 5000, 300, 20_000
+"""The strongest candidates are looked at: one for so many pixels, within these bounds. A board has
+some thousand corners, and noise must not cost more than ten times its decoding."""
 _LEAST_SYMMETRY = 0.7
 """Correlation of the ring with itself turned by half: 1 for a corner, 0 for noise."""
 _LEAST_POWER_DN2 = 4.0
@@ -86,8 +87,9 @@ def _peaks(strength: FloatArray, margin: int) -> IntArray:
     is_peak[:margin] = is_peak[-margin:] = False
     is_peak[:, :margin] = is_peak[:, -margin:] = False
     v, u = np.nonzero(is_peak)
-    if len(u) > _MOST_CANDIDATES:
-        strongest = np.argsort(strength[v, u])[-_MOST_CANDIDATES:]
+    most = min(max(_FEWEST_CANDIDATES, strength.size // _PIXELS_A_CANDIDATE), _MOST_CANDIDATES)
+    if len(u) > most:
+        strongest = np.argsort(strength[v, u])[-most:]
         u, v = u[strongest], v[strongest]
     return _one_of_equals(np.stack([u, v], axis=1))
 

@@ -23,10 +23,10 @@ _MIN_CONTRAST_DN = 4.0
 # Added to how much the grey values vary along an edge. Chosen: about the noise of an 8-bit
 # image, so that an edge without any variation is not infinitely even.
 _NOISE_DN = 2.0
-_FEWEST_PEAKS, _PIXELS_A_PEAK = 600, 1000
+_FEWEST_PEAKS, _PIXELS_A_PEAK = 600, 1200
 """So many peaks are outlined, the most even, or one for so many pixels. Chosen: rendered plates
 have some tens. This bounds the work on noise, foliage and snow."""
-_FEWEST_STEPS, _STEPS_A_PIXEL = 100_000, 0.25
+_FEWEST_STEPS, _STEPS_A_PIXEL = 40_000, 0.25
 """So many steps are taken along borders, or so many for each pixel. Chosen: a round spot takes a
 hundred at all levels, so that all peaks can be outlined if a half of them is round."""
 _BLUR_PX, _FULL_SIZE_BLUR_PX = 1.0, 0.7
