@@ -65,8 +65,11 @@ def require_size(image: GreyImage, camera: CameraGeometry, what: str) -> None:
         msg = f"{what}: not a greyscale image (array of shape {shape})"
         raise ImageError(msg)
     if shape != (camera.height_px, camera.width_px):
+        swapped = shape == (camera.width_px, camera.height_px)
+        cure = "they look swapped, exchange" if swapped else "correct"
         msg = (
             f"{what}: image is {shape[1]}x{shape[0]} px, the config says "
-            f"{camera.width_px}x{camera.height_px}"
+            f"{camera.width_px}x{camera.height_px}; {cure} width_px and height_px of its camera"
+            f"{'' if swapped else ', or use the images of that camera'}"
         )
         raise ImageSizeError(msg)

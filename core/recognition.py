@@ -6,11 +6,13 @@ explain costs time only where a target was not found.
 
 from __future__ import annotations
 
+import math
+
 from core.checkerboard.board import Board
 from core.checkerboard.board_mismatch import too_few_between_borders, turned
 from core.checkerboard.corners import LocatedBoard, detect_board
 from core.discs.disc_finder import Discs, find_discs
-from core.discs.disc_mismatch import DiscMismatch, SeenDiscs, explain_discs
+from core.discs.disc_mismatch import DiscMismatch, SeenDiscs, doubt_size, explain_discs
 from core.errors import NotRecognisedError, TargetNotFoundError
 from core.images import GreyImage
 from core.site import Site
@@ -20,6 +22,8 @@ _SWAP = (
     "the columns main and sub of frames.csv"
 )
 _REVERSE = "switch ReverseX and ReverseY of the main camera off"
+_SURVEY_SIGMAS = 3.0
+"""A distance that the survey leaves so open is not doubted."""
 _FOCAL_FACTOR = 2.0
 """A focal length that is off by more is another lens, or a board of other squares."""
 
@@ -69,6 +73,20 @@ def recognise_mounted_board(image: GreyImage, site: Site) -> LocatedBoard:
     if seen.fewer is None and seen.quarter_turns:
         raise turned(seen.quarter_turns, board)
     return seen
+
+
+def disc_doubt(image: GreyImage, discs: Discs, site: Site) -> NotRecognisedError | None:
+    """What lets the discs that were found seem to be wider, narrower, nearer or farther."""
+    nominal, distance_mm = site.nominal_px_per_mm, site.main_target.distance_mm
+    focused = distance_mm / (distance_mm - site.main.focal_length_mm)
+    spread = math.exp(_SURVEY_SIGMAS * site.main_target.distance_sigma_mm / distance_mm)
+    expected = nominal / spread, nominal * focused * spread
+    seen = doubt_size(image, discs, site.main_target, expected)
+    if seen is None:
+        return None
+    if seen.mismatch is DiscMismatch.DIAMETER:
+        return NotRecognisedError(f"main target: {_diameter(seen, site)}")
+    return NotRecognisedError(f"main target: {_other_scale(seen, site)}")
 
 
 def board_doubt(seen: LocatedBoard, site: Site) -> NotRecognisedError | None:
@@ -134,13 +152,20 @@ def _sentence(seen: SeenDiscs, site: Site) -> str | None:
 
 
 def _diameter(seen: SeenDiscs, site: Site) -> str:
-    drawn_mm = site.main_target.diameters_mm
-    seen_mm = ", ".join(f"{mm:.2g}" for mm in dict.fromkeys(seen.diameter_ratio * drawn_mm))
-    return (
-        f"its discs are {seen.diameter_ratio:.2g} times as wide, for their distances from one "
-        f"another, as target.main.diameter_mm says; measure them: about {seen_mm} mm if "
-        "target.main.centres_mm is right"
+    """Discs and spacing do not go together; the scale tells which of the two is likely wrong."""
+    ratio = seen.diameter_ratio
+    seen_mm = ", ".join(f"{mm:.2g}" for mm in dict.fromkeys(ratio * site.main_target.diameters_mm))
+    text = (
+        f"its discs are {ratio:.2g} times as wide, for their distances from one another, as "
+        "target.main.diameter_mm says"
     )
+    scale = seen.px_per_mm / site.nominal_px_per_mm
+    if abs(math.log(scale * ratio)) < abs(math.log(scale)):
+        return (
+            f"{text}, and seen {scale:.2g} times as large; measure the plate: likely "
+            f"target.main.centres_mm should all be {1.0 / ratio:.2g} times as large"
+        )
+    return f"{text}; measure them: about {seen_mm} mm if target.main.centres_mm is right"
 
 
 def _scale(seen: SeenDiscs, site: Site) -> str | None:
@@ -149,11 +174,17 @@ def _scale(seen: SeenDiscs, site: Site) -> str | None:
     if 1.0 / _FOCAL_FACTOR < ratio < _FOCAL_FACTOR:
         return None  # not the size: what the finder says stands
     swapped = site.sub.focal_length_mm / site.main.focal_length_mm
-    text = f"its discs are seen, {ratio:.3g} times as large as the config says"
     if swapped / _FOCAL_FACTOR < ratio < swapped * _FOCAL_FACTOR:
+        text = f"its discs are seen, {ratio:.3g} times as large as the config says"
         return f"{text}; exchange camera.main.focal_length_mm and camera.sub.focal_length_mm"
+    return _other_scale(seen, site)
+
+
+def _other_scale(seen: SeenDiscs, site: Site) -> str:
+    expected = site.nominal_px_per_mm
     return (
-        f"{text} ({seen.px_per_mm:.3g} px/mm instead of {expected:.3g}); correct "
+        f"its discs are seen, {seen.px_per_mm / expected:.3g} times as large as the config says "
+        f"({seen.px_per_mm:.3g} px/mm instead of {expected:.3g}); correct "
         "camera.main.focal_length_mm, target.main.distance_mm, or, if the plate is another one, "
         "target.main.centres_mm and diameter_mm (all in mm)"
     )

@@ -33,6 +33,8 @@ def require_frame(found: object, size_px: tuple[int, int] | None, name: str) -> 
     height, width = pixels.shape
     if size_px is not None and (width, height) != size_px:
         msg = f"{name}: gave {width} x {height} px instead of {size_px[0]} x {size_px[1]}"
+        if (height, width) == size_px:
+            msg += "; they look swapped, exchange its width_px and height_px in the config"
         raise IncompleteFrameError(msg)
     return replace(
         found,

@@ -26,7 +26,7 @@ import numpy as np
 from core.arrays import FloatArray
 from core.calibration.joint_fit import MIN_LENS_VIEWS, Fit, nominal_rig, rig_prior
 from core.discs.disc_finder import Discs
-from core.discs.disc_fit import locate_discs
+from core.discs.disc_mismatch import diameter_ratio
 from core.images import GreyImage
 from core.rig.rigid import Rig
 from core.site import CameraGeometry, CheckerboardTarget, CirclesTarget, Site
@@ -234,19 +234,16 @@ def _main_target(quantities: tuple[Quantity, ...], target: CirclesTarget) -> Gro
 
 def _disc_diameter(main: GreyImage, discs: Discs, target: CirclesTarget, B: FloatArray) -> Quantity:
     """Diameter of the first disc by the outlines of all that were found."""
-    found = discs.found
-    nominal_px = 0.5 * target.diameters_mm[found] * math.sqrt(abs(float(np.linalg.det(B))))
-    outline_px = nominal_px[:, None, None] * np.eye(2)
-    fits = locate_discs(main.pixels, main.saturation_dn, discs.points_px[found], outline_px)
-    radius_px = np.sqrt(np.abs(np.linalg.det(fits.outline_px)))
-    ratio = float(np.median((radius_px / nominal_px)[fits.usable])) if fits.usable.any() else 1.0
+    px_per_mm = math.sqrt(abs(float(np.linalg.det(B))))
+    ratio = diameter_ratio(main, discs, target, px_per_mm)
+    narrowest_px = px_per_mm * float(target.diameters_mm[discs.found].min())
     diameter_mm = float(target.diameters_mm[0])
     return Quantity(
         "diameter of a disc",
         "mm",
         (diameter_mm, diameter_mm),
         diameter_mm * ratio,
-        math.hypot(_DISC_SIGMA, _EDGE_SIGMA_PX / (2.0 * float(nominal_px.min()))),
+        math.hypot(_DISC_SIGMA, _EDGE_SIGMA_PX / narrowest_px),
         {_DIAMETER: 1, _CENTRES: -1},
     )
 

@@ -8,6 +8,8 @@ from enum import Enum, auto
 import numpy as np
 
 from core.discs.blobs import Blobs, find_blobs, pyramid
+from core.discs.disc_finder import Discs
+from core.discs.disc_fit import locate_discs
 from core.discs.layout import MIN_DISCS, DiscAssignment, Expectation, Layout, identify_discs
 from core.images import GreyImage
 from core.site import CirclesTarget
@@ -20,6 +22,15 @@ degrees. In between it lies on its side."""
 _OTHER_DIAMETERS = (1.0, 1.4, 0.7, 2.0, 0.5, 2.8, 0.35)
 """In units of the configured one, tried in this order. The layout accepts 25 % about each, and
 at steps of about sqrt 2 any from 0.35 to 2.8 is within 20 % of the nearest."""
+_OTHER_SIZE = 0.1
+"""Relative; discs wider or narrower than that for their spacing are drawn so, not only painted or
+exposed wider, and a plate as much larger or smaller is no matter of a lens's engraving (2.5 %)."""
+_OTHER_BLOB = 0.15
+"""The same where discs are seen as spots only, which are some per cent wider than outlines."""
+_OUTLINE_STARTS = (1.0, 0.8, 1.25)
+"""In units of the configured size: an outline is fitted from within some 15 % of it."""
+_EDGE_PX = 1.0
+"""What haze and overexposure may add to the width of a disc in an image."""
 _ALIKE = 0.2
 """Natural logarithm of the ratio of radii, and of contrasts, within which spots are alike. Chosen;
 it decides only what a message says."""
@@ -92,6 +103,48 @@ def explain_discs(image: GreyImage, target: CirclesTarget) -> SeenDiscs | None:
     return SeenDiscs(DiscMismatch.LAYOUT, alike, np.nan, np.nan)
 
 
+def doubt_size(
+    image: GreyImage, discs: Discs, target: CirclesTarget, expected_px_per_mm: tuple[float, float]
+) -> SeenDiscs | None:
+    """Say how discs that were found differ in width or scale from the configured ones, if they do.
+
+    expected_px_per_mm: range of the scale by the config. None where they are as configured, or too
+    few to tell.
+    """
+    found = discs.found
+    centres_mm = np.column_stack([target.centres_mm[found], np.ones(found.sum())])
+    affine, _, rank, _ = np.linalg.lstsq(centres_mm, discs.points_px[found], rcond=None)
+    if rank < centres_mm.shape[1]:
+        return None
+    px_per_mm = float(np.sqrt(abs(np.linalg.det(affine[:2]))))
+    ratio = diameter_ratio(image, discs, target, px_per_mm)
+    width_px = px_per_mm * float(target.diameters_mm[found].min())
+    if abs(np.log(ratio)) > _OTHER_SIZE + _EDGE_PX / width_px:
+        return SeenDiscs(DiscMismatch.DIAMETER, int(found.sum()), px_per_mm, ratio)
+    low, high = expected_px_per_mm
+    if abs(np.log(px_per_mm / np.clip(px_per_mm, low, high))) > _OTHER_SIZE:
+        return SeenDiscs(DiscMismatch.SCALE, int(found.sum()), px_per_mm, ratio)
+    return None
+
+
+def diameter_ratio(
+    image: GreyImage, discs: Discs, target: CirclesTarget, px_per_mm: float
+) -> float:
+    """Diameters of the discs that were found by their outlines, to those configured: the median.
+
+    1 where no outline can be fitted.
+    """
+    found = discs.found
+    nominal_px = 0.5 * target.diameters_mm[found] * px_per_mm
+    for start in _OUTLINE_STARTS:
+        outline_px = start * nominal_px[:, None, None] * np.eye(2)
+        fits = locate_discs(image.pixels, image.saturation_dn, discs.points_px[found], outline_px)
+        if fits.usable.any():
+            radius_px = np.sqrt(np.abs(np.linalg.det(fits.outline_px)))
+            return float(np.median((radius_px / nominal_px)[fits.usable]))
+    return 1.0
+
+
 def _all_found(blobs: Blobs, layout: Layout) -> DiscAssignment | None:
     everything = Expectation(min_discs=len(layout.radii_mm))
     return identify_discs(blobs, layout, everything)
@@ -107,6 +160,8 @@ def _as_drawn(blobs: Blobs, layout: Layout, found: DiscAssignment, ratio: float)
         mismatch = DiscMismatch.UPSIDE_DOWN
     elif abs(found.roll_deg) > _UPRIGHT_DEG:
         mismatch = DiscMismatch.ON_ITS_SIDE
+    elif abs(np.log(seen)) > _OTHER_BLOB:
+        mismatch = DiscMismatch.DIAMETER
     else:
         mismatch = DiscMismatch.SCALE
     return SeenDiscs(mismatch, len(found.discs), scale, seen)

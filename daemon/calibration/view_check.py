@@ -16,6 +16,7 @@ from core.errors import CoreError, NotRecognisedError
 from core.images import GreyImage
 from core.recognition import (
     board_doubt,
+    disc_doubt,
     recognise_board,
     recognise_discs,
     recognise_mounted_board,
@@ -56,6 +57,8 @@ def see_pair(pair: CapturedPair, site: Site) -> ViewCheck:
     try:
         discs = recognise_discs(main, site)
         problems += _main_problems(main, discs)
+        doubt = disc_doubt(main, discs, site)
+        problems += [] if doubt is None else [str(doubt)]
     except NotRecognisedError as error:
         problems.append(str(error))
     except CoreError as error:

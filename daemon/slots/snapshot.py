@@ -8,7 +8,7 @@ from typing import Any
 
 from core.errors import ImageError, TargetNotFoundError
 from core.images import GreyImage, require_size
-from core.recognition import recognise_discs, recognise_mounted_board
+from core.recognition import disc_doubt, recognise_discs, recognise_mounted_board
 from core.results import Measurement
 from core.site import Site
 from daemon.burst import Shot
@@ -76,7 +76,7 @@ def recognition_problems(pair: CapturedPair, site: Site) -> list[str]:
     main, sub = (GreyImage(frame.pixels, frame.bits) for frame in (pair.main, pair.sub))
     problems: list[str] = []
     for recognise, image, camera, role in (
-        (recognise_discs, main, site.main, "main"),
+        (_require_discs, main, site.main, "main"),
         (recognise_mounted_board, sub, site.sub, "sub"),
     ):
         try:
@@ -86,6 +86,13 @@ def recognition_problems(pair: CapturedPair, site: Site) -> list[str]:
             text = str(error)
             problems.append(text if text.startswith(role) else f"{role} target: {text}")
     return problems
+
+
+def _require_discs(image: GreyImage, site: Site) -> None:
+    """Find the main target as configured. Raises as `recognise_discs`."""
+    doubt = disc_doubt(image, recognise_discs(image, site), site)
+    if doubt is not None:
+        raise doubt
 
 
 def pair_fields(pair: CapturedPair) -> dict[str, Any]:

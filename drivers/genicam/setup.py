@@ -164,6 +164,7 @@ def _require_features(features: Features, serial: str, settings: CameraSettings)
 
 def _set_region(writer: _Writer, settings: CameraSettings) -> None:
     """Take the middle of the sensor: the optical axis stays in the middle of the image."""
+    _require_upright(writer, settings)
     for size_name, offset_name, size_px in (
         ("Width", "OffsetX", settings.width_px),
         ("Height", "OffsetY", settings.height_px),
@@ -173,6 +174,26 @@ def _set_region(writer: _Writer, settings: CameraSettings) -> None:
         if writer.features.has(offset_name):
             step = max(1, writer.features.step(offset_name))
             writer.set_integer(offset_name, (whole_px - size_px) // 2 // step * step)
+
+
+def _require_upright(writer: _Writer, settings: CameraSettings) -> None:
+    """Raise SettingRefusedError for a size that would fit with width and height exchanged only."""
+    for offset_name in ("OffsetX", "OffsetY"):  # what is left of an offset limits the size
+        writer.set_if_there(offset_name, 0)
+    wanted = (settings.width_px, settings.height_px)
+    whole = tuple(int(writer.features.limits(name)[1]) for name in ("Width", "Height"))
+    if _fits(wanted, whole) or not _fits(wanted[::-1], whole):
+        return
+    why = (
+        f"the camera has {whole[0]} x {whole[1]} px; width_px and height_px look swapped in the"
+        " config, exchange them"
+    )
+    names, value = "Width x Height", f"{wanted[0]} x {wanted[1]}"
+    raise writer.refused(names, value, why)
+
+
+def _fits(size_px: tuple[int, ...], whole_px: tuple[int, ...]) -> bool:
+    return all(size <= whole for size, whole in zip(size_px, whole_px, strict=True))
 
 
 def _set_exposure(writer: _Writer, exposure_us: float | None) -> float | None:

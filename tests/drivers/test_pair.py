@@ -361,7 +361,10 @@ FRAME = CapturedFrame(PIXELS, 8, 1, 5, 7.0)
         (replace(FRAME, pixels=PIXELS[:0]), "gave pixels of shape (0, 6) instead of rows and"),
         (replace(FRAME, pixels=PIXELS * 1.0), "gave pixels of type float64 said to have 8 bits"),
         (replace(FRAME, bits=12), "gave pixels of type uint8 said to have 12 bits"),
-        (replace(FRAME, pixels=PIXELS.T), "gave 4 x 6 px instead of 6 x 4"),
+        (
+            replace(FRAME, pixels=PIXELS.T),
+            "gave 4 x 6 px instead of 6 x 4; they look swapped, exchange",
+        ),
         (FRAME, "gave frame 1 a second time"),
     ],
 )

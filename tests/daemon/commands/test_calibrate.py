@@ -157,6 +157,16 @@ def test_reference_of_another_size_is_an_error(
     assert "image is 640x480 px, the config says 640x400" in ran.err
 
 
+def test_swapped_width_and_height_are_named_with_the_cure(
+    ctl: Ctl, bench: Path, own_set: Path, tmp_path: Path
+) -> None:
+    (reference,) = read_frame_set(own_set).rows_of("reference")
+    (own_set / str(reference.sub)).write_bytes(encode_png(np.zeros((640, 400), np.uint8)))
+    ran = calibrate(ctl, bench, tmp_path / "state", own_set)
+    assert ran.code == 1
+    assert "400x640 px, the config says 640x400; they look swapped, exchange width_px" in ran.err
+
+
 def missing_column(lines: list[str]) -> list[str]:
     return [lines[0].replace("role,", ""), *lines[1:]]
 

@@ -5,13 +5,19 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from core.images import GreyImage
+from core.recognition import disc_doubt, recognise_discs
+from daemon.calibration.view_check import see_pair
 from daemon.config.reading import load_config
+from daemon.slots.snapshot import recognition_problems
 from drivers.frameset import encode_png, read_frame_set, read_image
+from drivers.protocols import CapturedFrame, CapturedPair
 from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
 from drivers.sim.settings import SimSettings
 from tests.daemon.commands.conftest import CONFIG, SEED, SIMULATED, Ctl
@@ -144,6 +150,66 @@ def test_wrong_diameter_of_the_discs(calibrate: Calibrate) -> None:
     assert "target.main.diameter_mm" in said
     assert "about 8" in said
     assert "again" not in said
+
+
+def test_discs_a_third_wider_than_they_are_are_named(calibrate: Calibrate) -> None:
+    """Too narrow in the image for a fit to begin: not discs that something covers."""
+    said = calibrate(same, same, ("diameter_mm = 8.0", "diameter_mm = 10.4"))
+    assert "for their distances from one another, as target.main.diameter_mm says" in said
+    assert "about 8" in said
+    assert "clear" not in said
+
+
+SIZES = [
+    ("diameter", 0.75, "diameter_mm says; measure them: about 8"),
+    ("diameter", 1.2, "diameter_mm says; measure them: about 8"),
+    ("diameter", 1.25, "diameter_mm says; measure them: about 8"),
+    ("centres", 0.75, "target.main.centres_mm should all be 1.3 times"),
+    ("centres", 0.8, "target.main.centres_mm should all be 1.3 times"),
+    ("centres", 1.2, "target.main.centres_mm should all be 0.8"),
+    ("centres", 1.3, "target.main.centres_mm should all be 0.7"),
+    (
+        "both",
+        0.75,
+        "correct camera.main.focal_length_mm, target.main.distance_mm, or, if the plate",
+    ),
+    ("both", 1.3, "correct camera.main.focal_length_mm, target.main.distance_mm, or, if the plate"),
+]
+
+
+@pytest.mark.parametrize(("wrong", "factor", "said"), SIZES)
+def test_a_plate_of_another_size_is_named_with_the_number_that_is_likely_wrong(
+    whole: Path, wrong: str, factor: float, said: str
+) -> None:
+    site = load_config(whole / "dcam.toml").site()
+    (row,) = read_frame_set(whole / "set").rows_of("measure")
+    image = read_image(whole / "set" / str(row.main))
+    drawn = site.main_target
+    plate = replace(
+        drawn,
+        diameters_mm=drawn.diameters_mm * (1.0 if wrong == "centres" else factor),
+        centres_mm=drawn.centres_mm * (1.0 if wrong == "diameter" else factor),
+    )
+    shot = CapturedFrame(image.pixels, image.bits, 0, 0, 0.0)
+    sub = read_image(whole / "set" / str(row.sub))
+    pair = CapturedPair(shot, replace(shot, pixels=sub.pixels, bits=sub.bits), None)
+    assert recognition_problems(pair, site) == []
+    (problem,) = recognition_problems(pair, replace(site, main_target=plate))
+    assert said in problem
+    (looked,) = see_pair(pair, replace(site, main_target=plate)).problems[:1]
+    assert looked == problem
+
+
+def test_a_distance_that_the_survey_leaves_open_is_not_doubted(whole: Path) -> None:
+    site = load_config(whole / "dcam.toml").site()
+    (row,) = read_frame_set(whole / "set").rows_of("measure")
+    stored = read_image(whole / "set" / str(row.main))
+    image = GreyImage(stored.pixels, stored.bits)
+    far = replace(site.main_target, distance_mm=1.3 * site.main_target.distance_mm)
+    discs = recognise_discs(image, replace(site, main_target=far))
+    assert disc_doubt(image, discs, replace(site, main_target=far)) is not None
+    unsure = replace(far, distance_sigma_mm=0.1 * far.distance_mm)
+    assert disc_doubt(image, discs, replace(site, main_target=unsure)) is None
 
 
 def test_swapped_images_are_swapped_cameras(ctl: Ctl, whole: Path, tmp_path: Path) -> None:

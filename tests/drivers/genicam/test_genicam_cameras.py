@@ -209,6 +209,10 @@ def test_without_a_configured_exposure_and_gain_they_are_5_ms_and_the_lowest(
             r"Width = 100 refused: the camera takes 8 to 96 in steps of 4",
         ),
         (
+            {"width_px": HEIGHT_PX, "height_px": WIDTH_PX},
+            "Width x Height = 64 x 96 refused: the camera has 96 x 64 px; .* look swapped in the",
+        ),
+        (
             {"packet_size_bytes": 100},
             r"GevSCPSPacketSize = 100 refused: the camera takes 576 to 9000",
         ),
