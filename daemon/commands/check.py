@@ -13,6 +13,7 @@ from daemon.checks.devices import check_backend, check_cameras, check_head, chec
 from daemon.checks.disk import check_room, check_speed
 from daemon.checks.drawing import check_drawing
 from daemon.checks.finding import Finding
+from daemon.checks.long_look import check_long
 from daemon.checks.record import check_database, check_state
 from daemon.checks.serial_port import check_port_rivals
 from daemon.commands.options import Options, common_options, json_option, pass_options
@@ -28,17 +29,27 @@ from daemon.errors import ExitCode
     help="Look at the computer, its links to the cameras, the head and the disk too, and take a "
     "pair; a running dcamd takes it between two slots.",
 )
+@click.option(
+    "--long",
+    "is_long",
+    is_flag=True,
+    help="With --hardware and dcamd stopped: take 20 pairs over more than two minutes, and report "
+    "what only the real cameras know; send this with a first report from new hardware.",
+)
 @json_option
 @common_options
 @pass_options
-def command(options: Options, hardware: bool, as_json: bool) -> int:
+def command(options: Options, hardware: bool, is_long: bool, as_json: bool) -> int:
     """Check config, geometry, state, database, calibration, clock and alarm.
 
     With --hardware also the computer, cameras, head and disk. Each line is ok, warning or error,
     and says what to do. Nothing is changed; a file that is written to try the disk is removed
     again. The exit code is that of the first error, 0 when there is none.
     """
-    findings = list(_findings(options.installation, hardware=hardware))
+    if is_long and not hardware:
+        msg = "--long: only with --hardware"
+        raise click.UsageError(msg)
+    findings = list(_findings(options.installation, hardware=hardware, is_long=is_long))
     if as_json:
         print_json({"command": "check", "findings": [_fields(finding) for finding in findings]})
     else:
@@ -46,7 +57,7 @@ def command(options: Options, hardware: bool, as_json: bool) -> int:
     return next((f.exit_code for f in findings if f.state == "error"), ExitCode.DONE)
 
 
-def _findings(site: Installation, *, hardware: bool) -> Iterator[Finding]:
+def _findings(site: Installation, *, hardware: bool, is_long: bool) -> Iterator[Finding]:
     config, state = site.config, site.state_directory
     yield Finding("config", "ok", f"{site.config_path}, site {config.name}")
     yield from check_drawing(config.site())
@@ -60,6 +71,8 @@ def _findings(site: Installation, *, hardware: bool) -> Iterator[Finding]:
         return
     yield check_user(state)
     yield from check_links(config)
+    if is_long:  # first: whoever opens a camera sets right what another program left in it
+        yield from check_long(site)
     yield from check_cameras(site)
     yield from check_port_rivals(config)
     yield from check_head(config)
