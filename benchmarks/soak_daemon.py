@@ -11,7 +11,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterable
 from datetime import datetime
-from typing import Any
+from typing import Any, NoReturn
 
 from core.results import Measurement
 from core.site import QualityLimits, Site
@@ -48,7 +48,7 @@ class RenderedOnce(world.World):
         return self._shown[moment]
 
 
-class MeasuredAnew:
+class MeasuredAgain:
     """Measures the same images of the same calibration now and then only."""
 
     def __init__(self, every: int) -> None:
@@ -97,18 +97,18 @@ class Remembered:
         return self._sequence.judge(slot_utc, measurement)
 
 
-def run() -> int:
-    """Run `dcamd` on such a world. Gives its exit code."""
+def run() -> NoReturn:
+    """Run `dcamd` on such a world, and end with its exit code."""
     boot_id, every = sys.argv.pop(1), int(sys.argv.pop(1))
     for module, name, stand_in in (
         (machine, "read_boot_id", lambda: boot_id),
-        (pipeline, "measure", MeasuredAnew(every).measure),
+        (pipeline, "measure", MeasuredAgain(every).measure),
         (pipeline, "judge_in_history", Remembered().judge_in_history),
         (world, "World", RenderedOnce),
     ):
         setattr(module, name, stand_in)
-    return main.main()
+    main.main()
 
 
 if __name__ == "__main__":
-    sys.exit(run())
+    run()

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import faulthandler
+import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
+from typing import NoReturn
 
 import click
 
@@ -27,8 +29,6 @@ from daemon.version import VERSION
 
 CLOSE_LIMIT_S = 30.0
 """To close cameras and database, which have deadlines of their own."""
-EXIT_LIMIT_S = 10.0
-"""For libraries to end what they have begun, once everything of ours is closed."""
 
 
 @click.command(
@@ -97,13 +97,17 @@ def _end_within(seconds: float) -> None:
         faulthandler.dump_traceback_later(seconds, exit=True, file=sys.__stderr__)
 
 
-def main() -> int:
-    """Run `dcamd` and give its exit code."""
-    faulthandler.enable()  # a process that the watchdog aborts tells where each thread hung
+def main() -> NoReturn:
+    """Run `dcamd`, and end the process with its exit code."""
+    faulthandler.enable()  # a process that the watchdog aborts shows where each thread hung
     code = run(cli, "dcamd")
-    _end_within(EXIT_LIMIT_S)
-    return code
+    # Everything of ours is closed. Taking the interpreter down can wait for a library's thread,
+    # and on an overloaded computer it takes longer than systemd gives.
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

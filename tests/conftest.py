@@ -1,5 +1,6 @@
 """For all tests: numerics with one thread, as in our programs. Loaded before anything of numpy."""
 
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,6 +10,9 @@ import daemon  # noqa: F401
 from tests.drivers.genicam.usb3 import bench
 
 bench.load()  # ahead of Aravis, whichever test loads that
+
+# A shell that starts the tests in the background has them ignore Ctrl-C, and programs inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 TALLY = "tally"
 HERE = Path(__file__).parent
