@@ -182,7 +182,7 @@ def _blobs_at(smooth: FloatArray, finer: FloatArray, shrink: int) -> tuple[Blobs
     """Blobs of a size, the gradient (n,) at their edges, DN per px of the whole image, the cost."""
     peaks = find_peaks(smooth, _MIN_CONTRAST_DN, _NOISE_DN)
     most = max(_FEWEST_PEAKS, smooth.size // _PIXELS_A_PEAK)
-    peaks = peaks[np.argsort(-peaks[:, 4], kind="stable")[:most]]
+    peaks = peaks[np.argsort(-peaks[:, 2], kind="stable")[:most]]
     most_steps = max(_FEWEST_STEPS, int(_STEPS_A_PIXEL * smooth.size))
     regions, steps = outline_peaks(smooth, peaks, most_steps)
     blobs, bright = _bright_ones(finer, regions, shrink)

@@ -101,59 +101,69 @@ def _sort(values: Grey) -> None:
 
 
 @compiled
-def _surroundings(
-    grey: Grey, u: int, v: int, least_dn: float, darkest: Grey, first_dark: Grey
-) -> None:
-    """Sort the darkest values (16,) on the ways out from a pixel, and those where a fall ends.
+def _first_dark(grey: Grey, u: int, v: int, least_dn: float, dark: Grey) -> None:
+    """Sort the grey values (16,) where the ways out from a pixel fall no further.
 
     The image goes on at its edge.
     """
     last_v, last_u = grey.shape[0] - 1, grey.shape[1] - 1
     here = grey[v, u]
-    enough = here - least_dn
     for way in range(_WAYS):
-        least, first, falls = here, here, True
+        first = here
         for step in range(_WAY_U.shape[1]):
             to_v = min(max(v + _WAY_V[way, step], 0), last_v)
             to_u = min(max(u + _WAY_U[way, step], 0), last_u)
             there = grey[to_v, to_u]
-            falls &= first > enough or first - there > _STILL_FALLING * (here - first)
-            first = min(first, there) if falls else first
-            least = min(least, there)
-        darkest[way], first_dark[way] = least, first
+            fallen = here - first
+            if fallen > least_dn and first - there <= _STILL_FALLING * fallen:
+                break
+            first = min(first, there)
+        dark[way] = first
+    _sort(dark)
+
+
+@compiled
+def _surroundings(grey: Grey, u: int, v: int, darkest: Grey) -> float:
+    """Median of the darkest values on the ways out from a pixel; darkest (16,) is room for them."""
+    last_v, last_u = grey.shape[0] - 1, grey.shape[1] - 1
+    for way in range(_WAYS):
+        least = grey[v, u]
+        for step in range(_WAY_U.shape[1]):
+            to_v = min(max(v + _WAY_V[way, step], 0), last_v)
+            to_u = min(max(u + _WAY_U[way, step], 0), last_u)
+            least = min(least, grey[to_v, to_u])
+        darkest[way] = least
     _sort(darkest)
-    _sort(first_dark)
+    return float(0.5 * (darkest[_HALF] + darkest[_HALF + 1]))
 
 
 @compiled
 def _peaks_among(
     grey: Grey, at: IntArray, most: Grey, about: Grey, least_dn: float, noise_dn: float
 ) -> FloatArray:
-    count, peaks = 0, np.empty((most.size // 4 + 1, 5))
-    darkest, first_dark = np.empty((2, _WAYS), np.float32)
+    count, peaks = 0, np.empty((most.size // 4 + 1, 3))
+    dark = np.empty(_WAYS, np.float32)
     for block_v in range(1, most.shape[0] - 1):
         for block_u in range(1, most.shape[1] - 1):
             here = most[block_v, block_u]
             if here < about[block_v, block_u] or not _is_first(most, block_v, block_u):
                 continue
             v, u = at[block_v, block_u, 0], at[block_v, block_u, 1]
-            _surroundings(grey, u, v, least_dn, darkest, first_dark)
-            if here - first_dark[_THREE_QUARTERS] < least_dn or count == len(peaks):
+            _first_dark(grey, u, v, least_dn, dark)
+            if here - dark[_THREE_QUARTERS] < least_dn or count == len(peaks):
                 continue
-            dark = 0.5 * (darkest[_HALF] + darkest[_HALF + 1])
-            varies = first_dark[_THREE_QUARTERS] - first_dark[_QUARTER]
+            step = here - 0.5 * (dark[_HALF] + dark[_HALF + 1])
+            varies = dark[_THREE_QUARTERS] - dark[_QUARTER]
             peaks[count, 0], peaks[count, 1] = u, v
-            peaks[count, 2], peaks[count, 3] = here, dark
-            step = here - 0.5 * (first_dark[_HALF] + first_dark[_HALF + 1])
-            peaks[count, 4] = step / (varies + noise_dn)
+            peaks[count, 2] = step / (varies + noise_dn)
             count += 1
     return peaks[:count]
 
 
 def find_peaks(grey: Grey, least_dn: float, noise_dn: float) -> FloatArray:
-    """Give the peaks (n, 5) of an image: column, row, grey, surroundings' grey, evenness.
+    """Give the peaks (n, 3) of an image: column, row, evenness.
 
-    A peak is brighter by least_dn than what is darkest on three quarters of the ways out of it.
+    A peak is brighter by least_dn than what three quarters of the ways out of it fall to.
     """
     blocks = grey.shape[0] // _BLOCK_PX, grey.shape[1] // _BLOCK_PX
     at, most = np.empty((*blocks, 2), np.int64), np.empty(blocks, np.float32)
@@ -288,13 +298,14 @@ def outline_peaks(grey: Grey, peaks: FloatArray, most_steps: int) -> tuple[Float
     """
     regions, count, taken = np.empty((len(peaks), REGION)), 0, 0
     us, vs = np.empty(MOST_STEPS, np.int64), np.empty(MOST_STEPS, np.int64)
-    region = np.zeros(REGION)
+    region, darkest = np.zeros(REGION), np.empty(_WAYS, np.float32)
     for k in range(len(peaks)):
         if taken >= most_steps:
             break
         u, v, sharpest = int(peaks[k, 0]), int(peaks[k, 1]), 0.0
+        dark = _surroundings(grey, u, v, darkest)
         for share in _SHARES:
-            level = peaks[k, 3] + share * (peaks[k, 2] - peaks[k, 3])
+            level = dark + share * (grey[v, u] - dark)
             steps, more = _outer_border(grey, level, u, v, us, vs)
             taken += more
             if steps == 0:
