@@ -52,6 +52,7 @@ uninstall:
 	@deploy/uninstall
 
 deb: $(VENV)/.stamp-venv
+	@sh .ci/system-packages $(PYTHON) package
 	@PYTHON=$(PYTHON) deploy/make-deb $(BIN)/python dist
 
 clean:
