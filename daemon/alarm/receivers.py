@@ -12,12 +12,13 @@ import re
 import shutil
 import signal
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import ModuleType
+from urllib.parse import unquote
 
 from daemon.config.alarm import AlarmSection
 from daemon.errors import HardwareError
@@ -25,6 +26,11 @@ from drivers.deadline import DeadlineExceededError, DeadlineThread
 
 DEADLINE_S = 60.0
 """For one receiver to accept one message."""
+
+_SHORTEST = 3
+"""Characters of a value that is worth leaving out; shorter ones are in every word."""
+_CODE = re.compile(r"\d{3}")
+"""An HTTP status, say: it is no secret, and tells why."""
 
 Send = Callable[[str, str], None]
 """Title, text. Raises NotAcceptedError."""
@@ -92,6 +98,27 @@ def _program_problem(program: str) -> str | None:
     return "the program is not executable; chmod +x it, for the user dcam too"
 
 
+def _parts(url: str) -> Iterator[str]:
+    """What an address is made of, but for its scheme: each part may be a secret."""
+    parts = re.split(r"[/:@?&=,;#]+", url)[1:]
+    yield from parts
+    yield from map(unquote, parts)
+
+
+def _words(command: Sequence[str]) -> Iterator[str]:
+    """What a command is made of, and what stands behind the `=` of its options."""
+    yield from command
+    yield from (word.partition("=")[2] for word in command)
+
+
+def _without_values(said: str, values: Iterable[str]) -> str:
+    """Leave out of a complaint what others quote of that which they were called with."""
+    telling = {value for value in values if len(value) >= _SHORTEST and not _CODE.fullmatch(value)}
+    for value in sorted(telling, key=len, reverse=True):
+        said = said.replace(value, "...")
+    return said
+
+
 def _key(address: str) -> str:
     return hashlib.sha256(address.encode()).hexdigest()[:16]
 
@@ -147,8 +174,14 @@ def _notify(url: str, title: str, text: str) -> None:
         except DeadlineExceededError:
             msg = f"no answer in {DEADLINE_S:.0f} s"
             raise NotAcceptedError(msg) from None
+        except NotAcceptedError:
+            raise
+        except Exception as error:  # noqa: BLE001 - of a hundred plug-ins, and it may quote an address
+            msg = f"Apprise failed: {type(error).__name__}"
+            raise NotAcceptedError(msg) from None
     if not accepted:
-        raise NotAcceptedError("; ".join(complaints.lines) or "not accepted")
+        said = "; ".join(complaints.lines) or "not accepted"
+        raise NotAcceptedError(_without_values(said, _parts(url)))
 
 
 def _run(command: Sequence[str], title: str, text: str) -> None:
@@ -174,5 +207,6 @@ def _run(command: Sequence[str], title: str, text: str) -> None:
             raise NotAcceptedError(msg) from None
     if process.returncode:
         last = (complaint.strip().splitlines() or ["it printed no reason"])[-1]
-        msg = f"ended with code {process.returncode}: {last}"
+        said = _without_values(last, _words(command))
+        msg = f"ended with code {process.returncode}: {said}"
         raise NotAcceptedError(msg)

@@ -65,7 +65,7 @@ def _findings(site: Installation, *, hardware: bool, is_long: bool) -> Iterator[
     yield check_room(config, state)
     yield from check_database(site)
     yield check_clock(simulated=config.has_stepped_clock)
-    yield from check_alarm(config.alarm)
+    yield from check_alarm(config.alarm, site.config_path)
     yield check_backend(config)
     if not hardware:
         return

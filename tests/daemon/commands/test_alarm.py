@@ -344,6 +344,48 @@ def test_a_failure_names_its_cause_and_no_secret(site: Site, mailbox: Mailbox) -
     assert "hunter2" not in line
 
 
+def test_a_program_that_repeats_what_it_was_called_with_is_not_quoted(
+    site: Site, tmp_path: Path
+) -> None:
+    script = tmp_path / "sms.py"
+    script.write_text("import sys; sys.exit(f'no carrier {sys.argv} pass {sys.argv[2][6:]}')")
+    words = [sys.executable, str(script), "+491701234567", "--pin=hunter2"]
+    configure(site, f"command = {json.dumps(words)}")
+    ran = site.ctl("alarm", "--test")
+    assert ran.code == 4
+    assert "ended with code 1: no carrier" in ran.err
+    for value in (*words, "hunter2"):
+        assert value not in ran.err
+
+
+def test_an_address_that_apprise_repeats_is_not_quoted(site: Site, monkeypatch) -> None:
+    apprise = pytest.importorskip("apprise")
+
+    def complain(self, **_words: object) -> bool:
+        receivers.logging.getLogger("apprise").warning("pier3:hunter2 at box.example: gone")
+        return False
+
+    monkeypatch.setattr(apprise.Apprise, "notify", complain)
+    configure(site, 'urls = ["json://pier3:hunter2@box.example/token"]')
+    ran = site.ctl("alarm", "--test")
+    assert ran.code == 4
+    assert ran.err.endswith("...:... at ...: gone\n")
+
+
+def test_whatever_apprise_raises_costs_the_message_only(site: Site, monkeypatch) -> None:
+    apprise = pytest.importorskip("apprise")
+
+    def burst(self, **_words: object) -> bool:
+        msg = "json://hunter2"
+        raise ValueError(msg)
+
+    monkeypatch.setattr(apprise.Apprise, "notify", burst)
+    configure(site, 'urls = ["json://hunter2"]')
+    ran = site.ctl("alarm", "--test")
+    assert ran.code == 4
+    assert ran.err.endswith("Apprise failed: ValueError\n")
+
+
 def test_a_program_that_hangs_is_ended_with_what_it_started(
     site: Site, tmp_path: Path, monkeypatch
 ) -> None:

@@ -191,6 +191,20 @@ def test_check_says_who_is_notified_and_never_repeats_a_secret(
     assert "/etc/passwd" not in ran.out + ran.err
 
 
+def test_check_warns_of_secrets_that_all_may_read(ctl: Ctl, tmp_path: Path) -> None:
+    config = tmp_path / "dcam.toml"
+    config.write_text(f'{CONFIG}\n[alarm]\nurls = ["ntfy://ntfy.sh/secret"]\n')
+    warning = f"alarm           warning  {config} may hold a password, and all may read it"
+    cure = f"chown root:dcam {config} && chmod 640 {config}"
+    for mode, warned in ((0o644, True), (0o640, False)):
+        config.chmod(mode)
+        ran = ctl("--config", config, "--state", tmp_path / "state", "check")
+        assert ran.code == 0
+        assert (
+            any(line.split() == f"{warning}: {cure}".split() for line in ran.out.splitlines())
+        ) == warned
+
+
 def test_check_warns_when_the_drift_takes_the_target_out_of_the_image(
     ctl: Ctl, tmp_path: Path
 ) -> None:
