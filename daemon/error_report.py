@@ -13,7 +13,7 @@ import click
 from core.errors import CoreError
 from daemon.errors import ConfigError, DcamError, ExitCode
 from daemon.file_errors import file_error_text
-from daemon.text import write_readably
+from daemon.text import visible, write_readably
 from drivers.errors import DriverError
 
 _FOREIGN_EXIT_CODES: tuple[tuple[type[BaseException], ExitCode], ...] = (
@@ -71,7 +71,7 @@ def report(error: BaseException, program: str, *, debug: bool) -> ExitCode:
     if debug:
         traceback.print_exception(error, file=sys.stderr)
     for line in lines_of(error):
-        print(f"{program}: error: {line}", file=sys.stderr)
+        print(f"{program}: error: {visible(line)}", file=sys.stderr)
     return exit_code_of(error)
 
 

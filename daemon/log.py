@@ -10,6 +10,8 @@ from typing import Any, Literal, TextIO
 
 import structlog
 
+from daemon.text import visible
+
 LogFormat = Literal["keyvalue", "json"]
 LogLevel = Literal["debug", "info", "warning", "error"]
 
@@ -75,5 +77,5 @@ class _Renderer:
 
     def __call__(self, logger: Any, method: str, event: MutableMapping[str, Any]) -> str:
         priority = _JOURNAL_PRIORITY.get(event.get("level", ""), 6)
-        text = str(self._render(logger, method, event))
+        text = visible(str(self._render(logger, method, event)))
         return f"<{priority}>{text}" if self._in_journal else text

@@ -22,6 +22,10 @@ class MissedSlots:
     count: int
 
 
+FARTHEST_AHEAD = timedelta(days=400)
+"""Past the last slot: more than a year without power."""
+
+
 @dataclass(frozen=True, slots=True)
 class Schedule:
     """Slots at `offset_s + k * period_s` since the epoch, UTC, whole seconds.
@@ -67,6 +71,14 @@ class Schedule:
     def is_behind(self, now_utc: datetime, last_utc: datetime) -> bool:
         """Tell whether a clock is so far before the last slot that slots would be lost to it."""
         return now_utc < last_utc - self.period_s * SECOND
+
+    @staticmethod
+    def is_far_ahead(now_utc: datetime, last_utc: datetime) -> bool:
+        """Tell whether a clock that nothing disciplines is too far past the last slot.
+
+        No computer is without power for so long; a battery clock that lost its year is common.
+        """
+        return now_utc > last_utc + FARTHEST_AHEAD
 
     def is_too_late(self, slot_utc: datetime, now_utc: datetime) -> bool:
         """Tell whether a slot can no longer be taken under its name."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import io
+import re
 import sys
 import unicodedata
 from datetime import UTC, datetime
@@ -12,6 +13,8 @@ from core.results import Flag, Measurement
 
 _IN_ASCII = {"±": "+/-", "°": "deg"}
 _READABLE = "dcam.readable"
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+"""What a terminal obeys instead of showing it, but for tab and line end."""
 
 
 def utc_text(when: datetime) -> str:
@@ -43,6 +46,11 @@ def value_text(measurement: Measurement) -> str:
         f"y {y_mm:+.3f} ± {covariance[1, 1] ** 0.5:.3f} mm"
     )
     return text if measurement.flag is Flag.GOOD else f"{text} (suspect: {why})"
+
+
+def visible(text: str) -> str:
+    r"""Write control characters as their numbers (`\x1b`): names and reasons may hold any."""
+    return _CONTROL.sub(lambda sign: ascii(sign[0])[1:-1], text)
 
 
 def bytes_text(count: float) -> str:

@@ -242,3 +242,17 @@ def test_every_constant_of_core_says_what_it_means(path: Path) -> None:
 )
 def test_an_undocumented_constant_is_noticed(code: str, names: list[str]) -> None:
     assert undocumented_constants(code) == names
+
+
+def test_each_test_that_a_promise_names_is_there() -> None:
+    """docs/promises.md; a renamed test would leave a promise that nothing holds."""
+    page = (ROOT / "docs/promises.md").read_text()
+    named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", page)
+    promises = re.findall(r"^## \d", page, re.MULTILINE)
+    assert len(named) > 5 * len(promises) > 0
+    missing = [
+        f"{path}::{name}"
+        for path, name in named
+        if not (ROOT / path).is_file() or f"def {name}(" not in (ROOT / path).read_text()
+    ]
+    assert missing == []

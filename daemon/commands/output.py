@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from daemon.store.json_fields import plain
 from daemon.store.records import GapRecord
+from daemon.text import visible
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -30,19 +31,21 @@ _NO_LIMIT = 100_000
 
 def say(text: str = "") -> None:
     """Print a line of data."""
-    print(text)
+    print(visible(text))
 
 
 def note(text: str) -> None:
     """Print a diagnostic line on stderr."""
-    sys.stderr.write(f"dcam-ctl: {text}\n")  # at once: progress writes from a thread of its own
+    sys.stderr.write(
+        f"dcam-ctl: {visible(text)}\n"
+    )  # at once: progress writes from a thread of its own
 
 
 def print_json(payload: Mapping[str, Any]) -> None:
     """Print one JSON object with its schema number; times in ISO 8601, never NaN."""
     document = plain({"schema": JSON_SCHEMA, **payload})
     escaped = "utf" not in sys.stdout.encoding.lower()  # a replacement would change the data
-    print(json.dumps(document, indent=2, ensure_ascii=escaped, allow_nan=False))
+    print(visible(json.dumps(document, indent=2, ensure_ascii=escaped, allow_nan=False)))
 
 
 def gap_fields(gap: GapRecord) -> dict[str, object]:
@@ -72,7 +75,7 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     width = size.columns
     forced = None if on_terminal else False
     console = Console(width=width, height=size.lines, force_terminal=forced, highlight=False)
-    lines = [[" ".join(cell.splitlines()) for cell in line] for line in (columns, *rows)]
+    lines = [[visible(" ".join(cell.splitlines())) for cell in line] for line in (columns, *rows)]
     names, cells = lines[0], lines[1:]
     widest = _widest_column(lines)
     with console.capture() as captured:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import socket
+import sys
 import threading
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 from daemon.errors import HardwareError
@@ -18,6 +22,9 @@ LOOPBACK = "127.0.0.1"
 _PAGE = Path(__file__).with_name("page.html")
 _LOCAL_NAMES = frozenset({"localhost", "127.0.0.1"})
 REQUEST_TIMEOUT_S = 10.0
+"""For the next byte."""
+CONNECTION_LIMIT_S = 60.0
+"""For a whole connection, one request: more than a picture takes through a slow tunnel."""
 
 
 class Shown:
@@ -66,11 +73,10 @@ def serving(shown: Shown, port: int) -> Iterator[int]:
     """
     handler = type("Handler", (_Handler,), {"shown": shown})
     try:
-        server = ThreadingHTTPServer((LOOPBACK, port), handler)
+        server = _Server((LOOPBACK, port), handler)
     except OSError as error:
         msg = f"port {port}: {error.strerror}; give another --port"
         raise HardwareError(msg) from error
-    server.daemon_threads = True
     thread = threading.Thread(target=server.serve_forever, name="preview", daemon=True)
     thread.start()
     try:
@@ -79,6 +85,39 @@ def serving(shown: Shown, port: int) -> Iterator[int]:
         server.shutdown()
         server.server_close()
         thread.join()
+
+
+class _Server(ThreadingHTTPServer):
+    """Ends connections that take too long, so that one that trickles does not keep its thread."""
+
+    daemon_threads = True
+
+    def __init__(self, *arguments: Any) -> None:
+        self._begun_s: dict[Any, float] = {}
+        super().__init__(*arguments)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Begin to answer, in a thread of its own."""
+        self._begun_s[request] = time.monotonic()
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        """The connection is done with."""
+        self._begun_s.pop(request, None)
+        super().shutdown_request(request)
+
+    def service_actions(self) -> None:
+        """Look at the connections, twice a second."""
+        latest_s = time.monotonic() - CONNECTION_LIMIT_S
+        for request, begun_s in self._begun_s.copy().items():
+            if begun_s < latest_s:
+                with suppress(OSError):
+                    request.shutdown(socket.SHUT_RDWR)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing of a browser that went away, or was sent away."""
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(request, client_address)
 
 
 class _Handler(BaseHTTPRequestHandler):

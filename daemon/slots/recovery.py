@@ -59,7 +59,10 @@ def close_gap(
     last = accounted[1] if accounted else finished
     if last is None:
         return None
-    next_slot = schedule.next_slot(context.clock.now_utc(), last)
+    now_utc = context.clock.now_utc()
+    if is_wrong(context, schedule, now_utc, last):
+        return last  # the gap is as long as the clock will say once it is right
+    next_slot = schedule.next_slot(now_utc, last)
     # A row taken by hand may lie after the last slot that the daemon finished.
     missed = schedule.missed_between(min(last, finished or last), next_slot)
     if missed is None:
@@ -108,8 +111,11 @@ def mark_start(context: SlotContext, schedule: Schedule, cause: GapCause, detail
     now_utc = context.clock.now_utc()
     # A slot that is due just now is still to be taken.
     now_utc = min(now_utc, schedule.next_slot(now_utc, None) - SECOND)
-    # A clock that woke in the past must not move the beginning of the next gap there.
-    finished_utc = max(now_utc, accounted[1]) if accounted else now_utc
+    wrong = accounted is not None and is_wrong(context, schedule, now_utc, accounted[1])
+    # A clock that woke elsewhere must not move the beginning of the next gap there.
+    finished_utc = now_utc
+    if accounted is not None:
+        finished_utc = accounted[1] if wrong else max(now_utc, accounted[1])
     marks: dict[Mark, str | None] = {
         Mark.HEARTBEAT_UTC: instant_text(finished_utc),
         Mark.BOOT_ID: context.machine.boot_id,
@@ -117,10 +123,18 @@ def mark_start(context: SlotContext, schedule: Schedule, cause: GapCause, detail
     }
     before = read_absence(context.store)
     if before is None or before.boot_id != context.machine.boot_id:
-        behind = accounted is not None and schedule.is_behind(now_utc, accounted[1])
-        absence = Absence(cause, detail, context.machine.boot_id, is_open=behind)
+        absence = Absence(cause, detail, context.machine.boot_id, is_open=wrong)
         marks[Mark.ABSENCE] = absence_text(absence)
     context.store.set_marks(marks)
+
+
+def is_wrong(
+    context: SlotContext, schedule: Schedule, now_utc: datetime, last_utc: datetime
+) -> bool:
+    """Tell whether the wall clock contradicts the last slot: before it, or years past it."""
+    return schedule.is_behind(now_utc, last_utc) or (
+        schedule.is_far_ahead(now_utc, last_utc) and not context.machine.clock_synchronised()
+    )
 
 
 def mark_finished(store: Store, time_utc: datetime) -> None:

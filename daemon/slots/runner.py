@@ -15,7 +15,7 @@ from daemon.control.camera_lease import CameraLease
 from daemon.errors import DatabaseDamagedError, StoreError
 from daemon.schedule import MissedSlots, Schedule
 from daemon.slots.pipeline import Missed, SlotContext, record_late, run_slot
-from daemon.slots.recovery import mark_finished
+from daemon.slots.recovery import is_wrong, mark_finished
 from daemon.slots.reporting import Reporter
 from daemon.slots.supervision import INTERNAL, Circuit
 from daemon.slots.time_correction import Redated, put_right, split_at, undated_archive
@@ -71,7 +71,7 @@ class SlotRunner:
         self._absence = read_absence(context.store)
         """Why there was no daemon before this boot, and whether its gap is recorded."""
         self._apart: SlotContext | None = None
-        """What pairs pass through while the clock is before the last slot."""
+        """What pairs pass through while the clock is wrong."""
         self._begun_s = -float(schedule.period_s)
         """Monotonic time at which the last slot began."""
         self._ended_utc: datetime | None = None
@@ -99,7 +99,7 @@ class SlotRunner:
             if now_utc < slot or self._schedule.is_too_late(slot, now_utc):
                 continue  # the clock was stepped, back or forth
             self._begun_s = self._context.clock.monotonic_s()
-            if self._is_behind(now_utc):
+            if self._is_wrong(now_utc):
                 self._run_undated(slot)
             else:
                 self._run(slot)
@@ -119,7 +119,7 @@ class SlotRunner:
         """Choose the next slot; those that have gone by unused become a gap."""
         self._watch_clock()
         now_utc = self._read_clock()
-        if self._is_behind(now_utc):
+        if self._is_wrong(now_utc):
             # Half a period from the pair before, or both would be nearest to one true slot.
             passed_s = self._context.clock.monotonic_s() - self._begun_s
             rest_s = max(self._schedule.period_s / 2 - passed_s, 0.0)
@@ -147,7 +147,7 @@ class SlotRunner:
     def _tend_disk(self, slot: datetime) -> None:
         """Make room between slots, as long as that delays none."""
         now_utc = self._context.clock.now_utc()
-        if self._is_behind(now_utc):
+        if self._is_wrong(now_utc):
             return
         next_utc = self._schedule.next_slot(now_utc, self._last)
         self._context.disk.tend(slot, (next_utc - now_utc).total_seconds())
@@ -269,16 +269,19 @@ class SlotRunner:
     def _look_at_clocks(self) -> tuple[datetime, float]:
         return self._context.clock.now_utc(), self._context.clock.monotonic_s()
 
-    def _is_behind(self, now_utc: datetime) -> bool:
+    def _is_wrong(self, now_utc: datetime) -> bool:
+        """Whether slots may not be named by the clock."""
         if now_utc.year >= FIRST_IMPOSSIBLE_YEAR:
             return True  # no record begins there, and the calendar ends soon after
-        return self._last is not None and self._schedule.is_behind(now_utc, self._last)
+        last_utc = self._last
+        return last_utc is not None and is_wrong(self._context, self._schedule, now_utc, last_utc)
 
     def _watch_clock(self) -> None:
         """Notice a wall clock that was stepped, that is before the last slot, or is right again."""
         utc = self._read_clock()
-        if self._is_behind(utc) and not self._clock_trouble:
-            self._note_clock(f"the clock said {utc:%Y-%m-%dT%H:%M:%SZ}, before the last slot")
+        if self._is_wrong(utc) and not self._clock_trouble:
+            where = "before" if self._last is None or utc < self._last else "years past"
+            self._note_clock(f"the clock said {utc:%Y-%m-%dT%H:%M:%SZ}, {where} the last slot")
         is_right = self._context.machine.clock_synchronised()
         if is_right and not self._was_right:
             self._put_right()

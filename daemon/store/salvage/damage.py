@@ -197,9 +197,16 @@ def _wrong_tables(connection: sqlite3.Connection, path: Path) -> Iterator[str]:
             f"{path}: a SQLite database, but not one of this program: name another state directory"
         )
         raise DatabaseForeignError(msg)
-    found = connection.execute("SELECT version_num FROM alembic_version").fetchone()
     query = "SELECT value FROM mark WHERE name = ?"
-    noted = connection.execute(query, (Mark.SCHEMA.value,)).fetchone()
+    try:
+        found = connection.execute("SELECT version_num FROM alembic_version").fetchone()
+        noted = connection.execute(query, (Mark.SCHEMA.value,)).fetchone()
+    except sqlite3.OperationalError as error:
+        if error.sqlite_errorcode != sqlite3.SQLITE_ERROR:
+            raise
+        # Another program's file in our place, with a table of a name that we use too
+        yield f"its tables are not those of this program ({error})"
+        return
     try:
         noted_revision, digests = json.loads(noted[0]) if noted else (None, {})
     except (ValueError, TypeError):

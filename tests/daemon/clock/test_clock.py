@@ -183,6 +183,43 @@ def test_a_clock_that_drifted_for_weeks_leaves_old_rows_alone(station) -> None:
 # ------------------------------------------------------------------ waking with a wrong clock
 
 
+TEN_YEARS = timedelta(days=3652)
+
+
+def test_a_clock_ten_years_ahead_dates_no_row(station) -> None:
+    """It would stand at the end of the record for ten years."""
+    station.synchronised = False
+    seen = []
+    orders = {
+        1: set_clock(station, TEN_YEARS),
+        3: lambda: seen.append((station.minutes(), station.gaps())),
+        4: ntp(station, -TEN_YEARS),
+    }
+    station.run(6, orders)
+    assert seen == [([0, 1], [])]
+    assert station.minutes() == [0, 1, 2, 3, 4, 5]
+    assert (station.gaps(), station.store.undated()) == ([], [])
+    frames_are_where_rows_say(station)
+
+
+def test_wake_ten_years_ahead_then_ntp(station) -> None:
+    wake(station, TEN_YEARS)
+    station.run(5, {2: ntp(station, -TEN_YEARS)}, boot_id="boot-2")
+    assert station.minutes() == [0, 1, 122, 123, 124, 125, 126]
+    assert station.gaps() == [(2, 121, "power_loss")]
+    assert station.store.undated() == []
+    frames_are_where_rows_say(station)
+
+
+def test_a_disciplined_clock_years_past_the_last_slot_is_believed(station) -> None:
+    """A computer that lay in a cupboard."""
+    wake(station, TEN_YEARS)
+    station.synchronised = True
+    station.run(2, boot_id="boot-2")
+    assert len(station.minutes()) == 4
+    assert [cause for *_, cause in station.gaps()] == ["power_loss"]
+
+
 def test_wake_in_the_past_then_ntp(station) -> None:
     """Up at 14:01:30 with a clock of years ago; NTP comes at 14:04."""
     wake(station, -WRONG)

@@ -32,6 +32,7 @@ from daemon.store.database import open_store, open_store_readonly
 from daemon.store.engine import make_engine
 from daemon.store.opening import open_checked_store
 from daemon.store.revisions import REVISIONS
+from daemon.store.salvage.damage_note import databases_set_aside
 from daemon.store.schema import Base
 from daemon.times import slot_text
 from tests.daemon.store.examples import full_record, record, slot
@@ -332,6 +333,29 @@ def test_another_programs_database_is_refused(tmp_path: Path) -> None:
         with pytest.raises(DatabaseForeignError, match="not one of this program"):
             opener(tmp_path)
     assert tables(tmp_path / "dcam.db") == {"notes"}
+
+
+@pytest.mark.parametrize(
+    "tables",
+    [
+        "CREATE TABLE gap (text)",
+        "CREATE TABLE alembic_version (version_num); CREATE TABLE notes (text)",
+        "CREATE TABLE alembic_version (version_num); CREATE TABLE mark (text)",
+    ],
+)
+def test_another_programs_database_with_tables_of_our_names_is_set_aside(
+    tmp_path: Path, tables: str
+) -> None:
+    """Each start would end at it; so slots go on, and the file is kept."""
+    with closing(sqlite3.connect(tmp_path / "dcam.db")) as connection:
+        connection.executescript(tables)
+    before = (tmp_path / "dcam.db").read_bytes()
+    with open_checked_store(tmp_path) as store:
+        store.add_measurement(record(slot(0)))
+    (aside,) = databases_set_aside(tmp_path)
+    assert aside.read_bytes() == before
+    with open_checked_store(tmp_path) as store:
+        assert store.last_slot() == slot(0)
 
 
 def test_a_path_with_signs_that_mean_something_elsewhere(tmp_path: Path) -> None:
