@@ -15,7 +15,7 @@ from daemon.commands.options import Options, common_options, pass_options
 from daemon.config.reading import Installation
 from daemon.control.notify import Notifier
 from daemon.control.requests import ControlRequests, given_by_signals
-from daemon.control.run_state import runtime_directory
+from daemon.control.run_state import make_runtime_directory
 from daemon.devices import require_backend
 from daemon.error_report import run
 from daemon.lock import sole_writer
@@ -65,7 +65,7 @@ def serve(installation: Installation, max_slots: int | None = None) -> None:
     requests: ControlRequests[Station] = ControlRequests()
     with given_by_signals(requests), sole_writer(state):
         relieve(state)
-        reporter = Reporter(Notifier.from_environment(), runtime_directory(state))
+        reporter = Reporter(Notifier.from_environment(), make_runtime_directory(state))
         reporter.opening(database_bytes(state))
         with (
             time_limit_to_close() as begin_to_close,

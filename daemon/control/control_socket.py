@@ -145,15 +145,23 @@ class _Server:
         self._started = threading.Event()
         self._idle: dict[object, asyncio.StreamWriter] = {}
         """Connections that hold no pause and are not being served, the oldest first."""
-        self._loop: asyncio.AbstractEventLoop
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._ended: asyncio.Event
 
     def run(self, listening: socket.socket) -> None:
-        asyncio.run(self._serve(listening))
+        try:
+            asyncio.run(self._serve(listening))
+        except OSError as error:  # no descriptor was left for the loop
+            _log.warning("no_control_socket", error=str(error))
+        finally:
+            listening.close()
+            self._started.set()
 
     def stop(self) -> None:
         self._started.wait()
-        self._loop.call_soon_threadsafe(self._ended.set)
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # it has ended by itself
+                self._loop.call_soon_threadsafe(self._ended.set)
 
     async def _serve(self, listening: socket.socket) -> None:
         self._loop, self._ended = asyncio.get_running_loop(), asyncio.Event()

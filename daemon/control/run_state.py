@@ -7,8 +7,10 @@ file, never a slot. The database is the record; this is only the present.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -68,8 +70,27 @@ class RunState:
 
 
 def runtime_directory(state: Path) -> Path:
-    """Where socket and file of a state directory are: /run/dcam for the default one, else in it."""
-    return RUNTIME_DIRECTORY if state == DEFAULT_STATE_DIRECTORY else state
+    """Where socket and file of a state directory are: in memory, so that no disk can fail them.
+
+    /run/dcam for the default one, for another a folder in it; else, where dcamd does not run as a
+    service or may not write there, the state directory itself.
+    """
+    if state == DEFAULT_STATE_DIRECTORY:
+        return RUNTIME_DIRECTORY
+    own = _folder_of(state)
+    return own if own.is_dir() else state
+
+
+def make_runtime_directory(state: Path) -> Path:
+    """Give the directory, made if /run/dcam is there: systemd makes that one."""
+    if state != DEFAULT_STATE_DIRECTORY and RUNTIME_DIRECTORY.is_dir():
+        with suppress(OSError):
+            _folder_of(state).mkdir(exist_ok=True)
+    return runtime_directory(state)
+
+
+def _folder_of(state: Path) -> Path:
+    return RUNTIME_DIRECTORY / hashlib.sha256(os.fsencode(state.resolve())).hexdigest()[:16]
 
 
 def write_run_state(directory: Path, state: RunState) -> None:

@@ -113,6 +113,16 @@ def test_every_problem_of_a_config_has_its_line(capsys) -> None:
     ]
 
 
+def test_an_error_shows_control_characters(capsys) -> None:
+    @click.command()
+    def command() -> None:
+        msg = "camera \x1b]0;owned\x07 is lost"
+        raise DeviceLostError(msg)
+
+    run(command, "dcam-ctl", [])
+    assert capsys.readouterr().err == ("dcam-ctl: error: camera \\x1b]0;owned\\x07 is lost\n")
+
+
 def test_unknown_option_is_usage(capsys) -> None:
     assert run_raising(None, "--nonsense") == 2
     (line,) = capsys.readouterr().err.splitlines()

@@ -63,6 +63,15 @@ def test_exception_stays_on_one_line() -> None:
     assert "ValueError: invalid literal" in line
 
 
+def test_a_control_character_is_shown_and_not_obeyed() -> None:
+    """A camera may give any name."""
+    stream = io.StringIO()
+    configure_log("keyvalue", "info", stream, environ={})
+    structlog.get_logger("dcam.daemon").info("camera_open", name="a\x1b[2J\x9bm\rb")
+    assert "\\x1b[2J\\x9bm" in stream.getvalue()
+    assert not [sign for sign in stream.getvalue()[:-1] if not sign.isprintable()]
+
+
 def test_journal_gets_the_priority_before_the_line() -> None:
     stream = io.StringIO()
     configure_log("keyvalue", "info", stream, environ={"JOURNAL_STREAM": "8:1"})

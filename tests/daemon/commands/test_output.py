@@ -76,6 +76,21 @@ def without_sizes(text: str) -> str:
     return re.sub(r"disk_free=\d+B|[\d.]+ GB|(free_bytes|_bytes\S*) \S+", "SIZE", text)
 
 
+CLEAR = "\x1b[2J\x1b]0;owned\x07\x9b31m"
+
+
+@pytest.mark.parametrize("words", [["gaps"], ["gaps", "--json"], ["status"], ["check"]])
+def test_names_and_reasons_reach_a_terminal_as_text(site: Site, words: list[str]) -> None:
+    """A camera's name and a library's words may hold what a terminal obeys."""
+    escaped = CLEAR.encode("unicode_escape").decode().replace("\\x", "\\u00")
+    site.config.write_text(SIMULATED.replace('"bench"', f'"bench {escaped}"'))
+    slot, cause = site.end, GapCause.STORAGE_FAILED
+    site.write(lambda store: store.record_gap(slot, slot, cause, CLEAR, period_s=60) or None)
+    ran = site.ctl(*words)
+    assert "owned" in ran.out
+    assert not [sign for sign in ran.out + ran.err if not sign.isprintable() and sign != "\n"]
+
+
 def test_on_a_pipe_a_gap_is_one_line_however_long(gappy: Site) -> None:
     out = on_pipe(program(*words_of(gappy, "gaps")), COLUMNS="60").stdout.decode()
     lines = out.splitlines()

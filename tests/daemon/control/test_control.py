@@ -5,6 +5,8 @@ import json
 import os
 import resource
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -272,3 +274,30 @@ def test_whoever_is_not_of_the_group_learns_so(station) -> None:
                     code = 0 if "not allowed; join the group" in str(error) else 2
             os._exit(code)
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+WITHOUT_DESCRIPTORS = """
+import os, resource, sys
+from pathlib import Path
+from daemon.control.camera_lease import CameraLease
+from daemon.control.control_socket import control_socket
+
+free = os.open("/", os.O_RDONLY)
+os.close(free)
+resource.setrlimit(resource.RLIMIT_NOFILE, (free + 2, free + 2))
+with control_socket(Path(sys.argv[1]), CameraLease(lambda: None)):
+    pass
+"""
+"""There is room for the socket and its directory, and none for an event loop."""
+
+
+def test_without_descriptors_for_the_socket_the_process_still_ends(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_DESCRIPTORS, str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "no_control_socket" in done.stdout + done.stderr
