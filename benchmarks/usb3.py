@@ -118,9 +118,9 @@ class Site:
             found |= {first + timedelta(seconds=k * PERIOD_S): cause for k in range(int(count))}
         return found
 
-    def wait(self, condition: Callable[[], bool], what: str) -> None:
-        """Look until it holds; RuntimeError if it never does."""
-        give_up_s = time.monotonic() + PATIENCE_S
+    def wait(self, condition: Callable[[], bool], what: str, usual_s: float = 0.0) -> None:
+        """Look until it holds; RuntimeError if it does not, long after it usually does."""
+        give_up_s = time.monotonic() + PATIENCE_S + 2.0 * usual_s
         while not condition():
             if time.monotonic() > give_up_s:
                 msg = f"waited in vain for {what}:\n" + "\n".join(self.log()[-20:])
@@ -164,7 +164,7 @@ def measure_usb3(directory: Path, n_before: int, n_faults: int, seed: int) -> Ou
     with running(*site.cameras.values()), site.daemon() as dcamd:
         site.wait_for_rows(2)
         before = site.slots()
-        site.wait(lambda: len(site.slots()) >= len(before) + n_before, "slots")
+        site.wait(lambda: len(site.slots()) >= len(before) + n_before, "slots", n_before)
         quiet = {slot: kind for slot, kind in site.slots().items() if slot not in before}
         settled = _use(dcamd.pid)
         for _ in range(n_faults):
