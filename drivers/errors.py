@@ -49,6 +49,10 @@ class HeadLostError(HeadError):
     """The line to the head is gone; the next call opens it again."""
 
 
+class HeadUnreachedError(HeadLostError):
+    """The port was never opened, as when another program has it: nothing was sent to the head."""
+
+
 class FrameSetError(DriverError):
     """A frame set on disk is damaged or incomplete: which row or file, and what to do."""
 

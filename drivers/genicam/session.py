@@ -109,7 +109,7 @@ class Session:
     def _no_frame(self, timeout_s: float) -> str:
         what = f"camera {self._serial}: no frame within {timeout_s:g} s"
         if self._settings.trigger is None:
-            return f"{what}; check the link, and that the exposure is shorter"
+            return f"{what}; {self._device.missing_data_advice}; and that the exposure is shorter"
         return f"{what}; check the wire from the main camera to {self._settings.trigger.line}"
 
     def _resynchronise(self) -> None:

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-from drivers.errors import HeadError, HeadLimitError, HeadLostError
+from drivers.errors import HeadError, HeadLimitError, HeadLostError, HeadUnreachedError
 from drivers.heads.serial_line import Line
 from drivers.protocols import HeadSettings
 
@@ -70,7 +70,7 @@ def halted_on_error(who: str, halt: Callable[[], None]) -> Iterator[None]:
     """Halt the head when the block fails, be it by Ctrl-C, and say so when even that failed."""
     try:
         yield
-    except HeadLimitError:  # nothing has moved
+    except (HeadLimitError, HeadUnreachedError):  # nothing has moved
         raise
     except BaseException as error:
         try:

@@ -9,7 +9,7 @@ from typing import Protocol
 import serial
 
 from drivers.deadline import DeadlineExceededError, DeadlineThread
-from drivers.errors import HeadLostError
+from drivers.errors import HeadLostError, HeadUnreachedError
 from drivers.heads.port_name import is_network
 from drivers.heads.ports import Port, open_port, why_gone, why_too_slow
 
@@ -102,7 +102,9 @@ class SerialLine:
         while True:
             try:
                 self._port = self._opened()
-            except HeadLostError:
+            except HeadLostError as error:
+                if not self._openings:
+                    raise HeadUnreachedError(str(error)) from None
                 if time.monotonic() >= deadline_s:
                     raise
                 time.sleep(LOOK_AGAIN_S)

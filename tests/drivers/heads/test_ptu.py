@@ -6,6 +6,9 @@ The line is straight to the simulated machine, in the machine's own time.
 
 from __future__ import annotations
 
+import fcntl
+import os
+import pty
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -14,6 +17,7 @@ from structlog.testing import capture_logs
 
 from drivers.errors import HeadError, HeadLimitError, HeadLostError
 from drivers.heads.ptu_ascii import PtuHead
+from drivers.heads.serial_line import SerialLine
 from drivers.sim.head_machine import Faults, FaultyHead
 from drivers.sim.head_ptu import PtuMachine, PtuModel
 from tests.drivers.heads.lines import SETTINGS, MachineLine, Recorder
@@ -499,3 +503,18 @@ def test_a_head_that_lost_its_position_between_two_moves_does_not_move() -> None
         head.move_to(3.0, 1.0)
     assert not any(data.startswith(b"PP3") for data in line.sent)
     head.move_to(1.0, 1.0)  # said once; then it is the engineer's decision
+
+
+def test_a_port_that_another_program_has_asks_nobody_to_cut_the_power() -> None:
+    """Nothing was sent, so nothing turns."""
+    ends = pty.openpty()
+    name = os.ttyname(ends[1])
+    try:
+        fcntl.flock(ends[1], fcntl.LOCK_EX)  # as programs mark a serial port as theirs
+        with pytest.raises(HeadLostError, match=name) as refused:
+            PtuHead(SerialLine(name, 9600), SETTINGS).move_to(1.0, 1.0)
+    finally:
+        for end in ends:
+            os.close(end)
+    assert "Cut the power" not in str(refused.value)
+    assert "could not be halted" not in str(refused.value)
