@@ -22,8 +22,8 @@ class MissedSlots:
     count: int
 
 
-FARTHEST_AHEAD = timedelta(days=400)
-"""Past the last slot: more than a year without power."""
+FARTHEST_AHEAD = timedelta(days=1000)
+"""Past the last slot: a site may be without power for a winter, or two."""
 
 
 @dataclass(frozen=True, slots=True)
