@@ -88,6 +88,8 @@ class NetworkPort:
         self._connection: socket.socket = self._port._socket  # noqa: SLF001
         with suppress(OSError):  # hung up already, as the first call will find
             _die_when_dead(self._connection)
+        self._probe = self._connection.dup()
+        self._probe.settimeout(0.0)
 
     def write(self, data: bytes) -> None:
         """Send all."""
@@ -102,6 +104,8 @@ class NetworkPort:
             return bytes(self._port.read(READ_BYTES))
         while True:
             heard = bytes(self._port.read(max(self._port.in_waiting, 1)))
+            if not heard:
+                self._require_connected()
             if heard or time.monotonic() >= until_s:
                 return heard
 
@@ -110,6 +114,13 @@ class NetworkPort:
         with suppress(OSError, TypeError, AttributeError):
             self._port.close()
         self._connection.close()
+        self._probe.close()
+
+    def _require_connected(self) -> None:
+        """Raise OSError when the other end has hung up: pyserial's thread may see it too late."""
+        with suppress(BlockingIOError):
+            if not self._probe.recv(1, socket.MSG_PEEK):
+                raise ConnectionResetError(errno.ECONNRESET, "the other end hung up")
 
 
 def open_port(name: str, baud: int, write_timeout_s: float) -> Port:

@@ -6,9 +6,9 @@ import json
 import os
 import pwd
 import shutil
-import time
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -20,6 +20,7 @@ from tests.daemon.commands.conftest import CONFIG, SIMULATED, Ctl
 REAL = CONFIG.replace("width_px", 'backend = "aravis"\nserial = "SERIAL"\nwidth_px').replace(
     "SERIAL", "15290000", 1
 )
+NOW_S = 1772323200.0  # 2026-03-01
 ROUTES = """\
 Iface\tDestination\tGateway \tFlags\tRefCnt\tUse\tMetric\tMask\t\tMTU\tWindow\tIRTT
 eth0\t00000000\t010AA8C0\t0003\t0\t0\t0\t00000000\t0\t0\t0
@@ -71,7 +72,8 @@ def computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Computer:
     computer.says("sys/class/thermal/thermal_zone0/trip_point_0_temp", 100000)
     computer.says("sys/class/watchdog/watchdog0/identity", "iTCO_wdt")
     computer.says("sys/class/watchdog/watchdog0/state", "active")
-    computer.says("sys/class/rtc/rtc0/since_epoch", int(time.time()))
+    monkeypatch.setattr("daemon.checks.computer.time", SimpleNamespace(time=lambda: NOW_S))
+    computer.says("sys/class/rtc/rtc0/since_epoch", int(NOW_S))
     computer.says("etc/systemd/system/dcamd.service", "")
     computer.says("etc/systemd/system/multi-user.target.wants/dcamd.service", "")
     computer.says("proc/net/route", ROUTES.rstrip())
