@@ -108,7 +108,7 @@ def pyramid(shape: tuple[int, ...], least_radius_px: float, most_radius_px: floa
     """By how much to shrink an image (h, w) to find discs of these radii, the smallest image first.
 
     >>> pyramid((1200, 1920), 0.0, np.inf), pyramid((1200, 1920), 20.0, 30.0)
-    ([32, 16, 8, 4, 2, 1], [8, 4, 2])
+    ([64, 32, 16, 8, 4, 2, 1], [8, 4, 2])
     """
     shrinks = []
     shrink = 1
