@@ -7,6 +7,7 @@ from enum import IntEnum, StrEnum
 from typing import Any
 
 from core.arrays import FloatArray
+from core.site import TargetRole
 
 
 class Flag(IntEnum):
@@ -49,6 +50,16 @@ class Reason(StrEnum):
     AFFINE_INVALID = "affine_invalid"
     SIGMA_TOO_LARGE = "sigma_too_large"
     NOT_SIMULTANEOUS = "not_simultaneous"
+    CLOSURE_TOO_LARGE = "closure_too_large"
+    """Fixed targets seem to have moved by more than the stability budget allows."""
+    FIXED_TARGET_MOVED = "fixed_target_moved"
+    """A fixed target has moved by itself; its correction is not used."""
+    TARGET_NOT_FOUND = "target_not_found"
+    """Of a further target: it is hidden, dark or out of the image."""
+    TARGET_PARTLY_HIDDEN = "target_partly_hidden"
+    TARGET_DISTURBED = "target_disturbed"
+    TARGET_NOT_CALIBRATED = "target_not_calibrated"
+    """Of a further target: the reference of the calibration does not show it."""
     NO_CALIBRATION = "no_calibration"
     INTERNAL_ERROR = "internal_error"
     """The program broke on this pair; its log says where. The frames are kept."""
@@ -76,6 +87,9 @@ class Displacement:
     """(2, 2)."""
     shared_mm2: FloatArray | None = None
     """(2, 2) the part of it that is the same in every frame: calibration and reference."""
+    image_mm2: FloatArray | None = None
+    """(2, 2) the part of it that pixels and calibration give, without what may have changed since
+    the calibration; None: all of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +109,21 @@ class Diagnostics:
 
 
 @dataclass(frozen=True, slots=True)
+class TargetMeasurement:
+    """What a pair, or the pairs of one slot, say of a further target in the main image."""
+
+    name: str
+    role: TargetRole
+    flag: Flag
+    reasons: tuple[Reason, ...]
+    corrected: Displacement | None
+    """Of a fixed target: what the rig alone says of it, the closure; its true value is 0.
+    None when flag is BAD or MISSING."""
+    raw: Displacement | None
+    """The main camera alone; given whenever the target was found."""
+
+
+@dataclass(frozen=True, slots=True)
 class Measurement:
     """One frame pair, or the pairs of one slot, measured: what a row of the database says."""
 
@@ -111,6 +140,10 @@ class Measurement:
     """(2,) 1 sigma of one pair of a burst about their mean; None with one pair."""
     frames_used: int = 0
     """Pairs that the value rests on."""
+    closure: Displacement | None = None
+    """What the fixed targets together say of the rig's error; None where none is believed."""
+    targets: tuple[TargetMeasurement, ...] = ()
+    """The further targets in the main image, in the order of the config."""
 
 
 @dataclass(frozen=True, slots=True)

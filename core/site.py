@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import StrEnum
 
 import numpy as np
 
@@ -47,6 +48,28 @@ class CirclesTarget:
     distance_sigma_mm: float
 
 
+class TargetRole(StrEnum):
+    """What a further target in the main image is for."""
+
+    FIXED = "fixed"
+    """It does not move with the bridge, so that it shows the rig's own error."""
+    MEASURED = "measured"
+    """A further point of the bridge."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExtraTarget:
+    """A further target in the main camera's image."""
+
+    name: str
+    role: TargetRole
+    target: CirclesTarget
+    position_px: FloatArray | None = None
+    """(2,) about where its middle is in the reference image; None where size and layout tell."""
+    stable_mm: float = 0.05
+    """1 sigma of a fixed target's own movement, in x and in y."""
+
+
 @dataclass(frozen=True, slots=True)
 class CheckerboardTarget:
     """A checkerboard; the square at the WS origin (top left in the sub image) is black."""
@@ -88,6 +111,32 @@ class QualityLimits:
 
 
 @dataclass(frozen=True, slots=True)
+class StabilityBudget:
+    """What may have changed since the calibration and the images cannot show; 1 sigma of each.
+
+    The defaults are for two cameras bolted to a steel plate, a machine-vision lens and a line of
+    sight in the open; docs/method.md says which have a source.
+    """
+
+    cameras_urad_per_k: float = 1.5
+    """Of one camera against the other, about each axis."""
+    cameras_urad_per_sqrt_day: float = 1.2
+    board_urad_per_k: float = 0.5
+    """Of the board on the pier, about each axis."""
+    board_urad_per_sqrt_day: float = 0.4
+    board_expansion_per_k: float = 7e-5
+    """Of a board of PVC foam."""
+    main_px_per_k: float = 0.02
+    """Shift of the main camera's image, in x and in y."""
+    main_scale_per_k: float = 7e-5
+    """Relative, of the main camera's scale."""
+    air_gradient_k_per_m: float = 0.1
+    """Of the air's temperature across the line of sight, less what it was at the calibration."""
+    temperature_range_k: float = 10.0
+    """Of the site's temperature about its mean, where no camera tells its own."""
+
+
+@dataclass(frozen=True, slots=True)
 class Site:
     """One dual-camera site."""
 
@@ -99,6 +148,9 @@ class Site:
     quality: QualityLimits
     lens_model: LensModel | None = None
     """Of the sub-camera; None: the one that predicts held-out views best."""
+    extra_targets: tuple[ExtraTarget, ...] = ()
+    """In the order of the config."""
+    stability: StabilityBudget = field(default_factory=StabilityBudget)
 
     @property
     def nominal_px_per_mm(self) -> float:

@@ -12,9 +12,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, PrivateAttr, Strict
 
-from core.site import Site
+from core.site import Site, StabilityBudget
 from daemon.config.alarm import AlarmSection
 from daemon.config.site import (
     CamerasSection,
@@ -24,6 +25,7 @@ from daemon.config.site import (
     RigSection,
     Section,
     SiteSection,
+    StabilitySection,
     TargetsSection,
 )
 from daemon.retention.rules import Rules
@@ -275,6 +277,7 @@ class Config(Section):
     genicam: GenicamSection = GenicamSection()
     pan_tilt: PanTiltSection = PanTiltSection()
     quality: QualitySection = QualitySection()
+    stability: StabilitySection = StabilitySection()
     storage: StorageSection = StorageSection()
     retention: RetentionSection = RetentionSection()
     alarm: AlarmSection = AlarmSection()
@@ -309,6 +312,8 @@ class Config(Section):
             rig=self.rig.prior(),
             quality=self.quality.limits(),
             lens_model=self.camera.sub.model(),
+            extra_targets=tuple(extra.extra_target() for extra in self.target.extra),
+            stability=self.stability.budget(),
         )
 
     def burst_plan(self) -> BurstPlan:
@@ -323,16 +328,22 @@ class Config(Section):
         """Give the SHA-256 of what turns a frame pair into numbers, as 64 hex digits.
 
         Two rows with equal hash, calibration and version were measured alike: the hash covers
-        `[camera]` geometry, `[target]`, `[rig]` and `[quality]`, and neither the order nor the
-        spelling of the file (8 or 8.0), nor where things are stored or logged.
+        `[camera]` geometry, `[target]`, `[rig]`, `[quality]` and `[stability]`, and neither the
+        order nor the spelling of the file (8 or 8.0), nor where things are stored or logged.
         """
         return hashlib.sha256(_canonical_json(self.site()).encode()).hexdigest()
 
 
 def _canonical_json(site: Site) -> str:
+    unset = None, (), asdict(StabilityBudget())
+
     def present(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         """Leave out what is not set: a new optional key must not change old hashes."""
-        return {name: value for name, value in pairs if value is not None}
+        return {
+            name: value
+            for name, value in pairs
+            if isinstance(value, np.ndarray) or value not in unset
+        }
 
     return json.dumps(
         asdict(site, dict_factory=present),

@@ -33,8 +33,34 @@ def implausible_values(site: Site) -> list[str]:
             _layout(site.main_target),
             _disc_size(site.main, site.main_target),
             _square_size(site.sub, site.sub_target),
+            *_extra_targets(site),
         )
     return [problem for problem in problems if problem]
+
+
+def _extra_targets(site: Site) -> list[str | None]:
+    problems = []
+    for number, extra in enumerate(site.extra_targets):
+        target = extra.target
+        problem = (
+            _distance("main", site.main, target.distance_mm)
+            or _distance_sigma(target)
+            or _layout(target)
+            or _disc_size(site.main, target)
+        )
+        key = f"target.extra[{number}]"
+        problems.append(problem and problem.replace("target.main", key, 1))
+        if extra.position_px is not None and not _inside(site.main, extra.position_px.tolist()):
+            problems.append(
+                f"{key}.position_px: {extra.position_px.tolist()} is outside the image of "
+                f"{site.main.width_px} x {site.main.height_px} px; is it x, y from the top left?"
+            )
+    return problems
+
+
+def _inside(camera: CameraGeometry, position_px: list[float]) -> bool:
+    x, y = position_px
+    return 0 <= x < camera.width_px and 0 <= y < camera.height_px
 
 
 def _focal_lengths(site: Site) -> str | None:

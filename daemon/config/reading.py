@@ -73,12 +73,19 @@ def _read_toml(path: Path) -> dict[str, Any]:
 def _contradictions(config: Config) -> list[str]:
     """Name values that are each allowed but do not go together."""
     problems = []
-    target = config.target.main
-    if len(target.diameter_mm) not in {1, len(target.centres_mm)}:
-        problems.append(
-            f"target.main.diameter_mm: {len(target.diameter_mm)} values for "
-            f"{len(target.centres_mm)} centres; give one number or one for each disc"
-        )
+    extra = config.target.extra
+    named = [("target.main", config.target.main)]
+    named += [(f"target.extra[{number}]", target) for number, target in enumerate(extra)]
+    for key, target in named:
+        if len(target.diameter_mm) not in {1, len(target.centres_mm)}:
+            problems.append(
+                f"{key}.diameter_mm: {len(target.diameter_mm)} values for "
+                f"{len(target.centres_mm)} centres; give one number or one for each disc"
+            )
+    names = [target.name for target in extra]
+    for number, name in enumerate(names):
+        if name in {*names[:number], "main", "sub"}:
+            problems.append(f'target.extra[{number}].name: "{name}" is taken; give another name')
     schedule = config.schedule
     if schedule.offset_s >= schedule.period_s:
         problems.append(

@@ -21,7 +21,16 @@ from pydantic import (
 )
 
 from core.lens_model import LensModel
-from core.site import CameraGeometry, CheckerboardTarget, CirclesTarget, QualityLimits, RigPrior
+from core.site import (
+    CameraGeometry,
+    CheckerboardTarget,
+    CirclesTarget,
+    ExtraTarget,
+    QualityLimits,
+    RigPrior,
+    StabilityBudget,
+    TargetRole,
+)
 from drivers.protocols import PixelFormat, Role
 
 
@@ -34,6 +43,10 @@ def _beside_the_config(value: Path, info: ValidationInfo) -> Path:
     base: Path = (info.context or {}).get("directory", Path())
     return base / value.expanduser()
 
+
+_STABLE = StabilityBudget()
+MOST_EXTRA_TARGETS = 16
+"""Chosen: each costs a search, and no image has room for more."""
 
 PositiveFloat = Annotated[float, Field(gt=0)]
 Pair = Annotated[tuple[float, float], Strict(strict=False)]
@@ -124,6 +137,22 @@ class CirclesSection(Section):
         )
 
 
+class ExtraTargetSection(CirclesSection):
+    """`[[target.extra]]`: a further plate of discs in the main camera's image."""
+
+    name: str = Field(pattern=r"^[a-z0-9][a-z0-9-]{0,31}$")
+    role: Literal["fixed", "measured"]
+    position_px: Pair | None = None
+    stable_mm: float = Field(default=0.05, gt=0, le=100.0)
+
+    def extra_target(self) -> ExtraTarget:
+        """Convert to the core's type."""
+        position_px = None if self.position_px is None else np.array(self.position_px, dtype=float)
+        return ExtraTarget(
+            self.name, TargetRole(self.role), self.target(), position_px, self.stable_mm
+        )
+
+
 class CheckerboardSection(Section):
     """`[target.sub]`: a checkerboard; the square at the WS origin is black."""
 
@@ -156,6 +185,9 @@ class TargetsSection(Section):
 
     main: CirclesSection
     sub: CheckerboardSection
+    extra: Annotated[
+        tuple[ExtraTargetSection, ...], Strict(strict=False), Field(max_length=MOST_EXTRA_TARGETS)
+    ] = ()
 
 
 class RigSection(Section):
@@ -195,3 +227,23 @@ class QualitySection(Section):
     def limits(self) -> QualityLimits:
         """Convert to the core's type."""
         return QualityLimits(**self.model_dump())
+
+
+class StabilitySection(Section):
+    """`[stability]`: what may have changed since the calibration; 1 sigma of each."""
+
+    cameras_urad_per_k: float = Field(default=_STABLE.cameras_urad_per_k, ge=0, le=1000.0)
+    cameras_urad_per_sqrt_day: float = Field(
+        default=_STABLE.cameras_urad_per_sqrt_day, ge=0, le=1000.0
+    )
+    board_urad_per_k: float = Field(default=_STABLE.board_urad_per_k, ge=0, le=1000.0)
+    board_urad_per_sqrt_day: float = Field(default=_STABLE.board_urad_per_sqrt_day, ge=0, le=1000.0)
+    board_expansion_per_k: float = Field(default=_STABLE.board_expansion_per_k, ge=0, le=1e-3)
+    main_px_per_k: float = Field(default=_STABLE.main_px_per_k, ge=0, le=10.0)
+    main_scale_per_k: float = Field(default=_STABLE.main_scale_per_k, ge=0, le=1e-2)
+    air_gradient_k_per_m: float = Field(default=_STABLE.air_gradient_k_per_m, ge=0, le=100.0)
+    temperature_range_k: float = Field(default=_STABLE.temperature_range_k, ge=0, le=100.0)
+
+    def budget(self) -> StabilityBudget:
+        """Convert to the core's type."""
+        return StabilityBudget(**self.model_dump())
