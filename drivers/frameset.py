@@ -9,6 +9,7 @@ import csv
 import io
 import math
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -20,11 +21,14 @@ from typing import Literal, cast, get_args
 from core.images import GreyImage
 from drivers.errors import FrameSetError, ImageMissingError
 from drivers.png import decode_png, encode_png
+from drivers.protocols import Role
 
 __all__ = [
     "COLUMNS",
     "HEADER",
+    "READING",
     "TABLE",
+    "TEMPERATURES",
     "FrameRole",
     "FrameSet",
     "FrameSetRow",
@@ -32,9 +36,11 @@ __all__ = [
     "format_header",
     "format_row",
     "format_slot",
+    "optional_number",
     "parse_slot",
     "read_frame_set",
     "read_image",
+    "readings_of",
     "write_table",
 ]
 
@@ -46,7 +52,14 @@ HEADER = ",".join(COLUMNS)
 """First line of a plain `frames.csv`, without its line end."""
 BURST = "burst"
 """Optional column that numbers the pairs of one slot from 1; empty is 1."""
+TEMPERATURES: Mapping[Role, str] = MappingProxyType(
+    {"main": "temperature_main_c", "sub": "temperature_sub_c"}
+)
+"""Optional columns of what the cameras say of their own temperatures."""
+READING = "reading_"
+"""What the optional column of a sensor's reading begins with; its name follows."""
 
+_READING_COLUMN = re.compile(rf"{READING}([a-z0-9-]{{1,32}})")
 _NO_EXTRA: Mapping[str, str] = MappingProxyType({})
 
 
@@ -69,6 +82,24 @@ class FrameSetRow:
     def burst(self) -> int:
         """The number of this pair within its slot."""
         return int(self.extra.get(BURST) or 1)
+
+    @property
+    def main_temperature_c(self) -> float | None:
+        """What the main camera said of its temperature; None where that is not known."""
+        return optional_number(self.extra.get(TEMPERATURES["main"]))
+
+    @property
+    def sub_temperature_c(self) -> float | None:
+        """What the sub-camera said of its temperature."""
+        return optional_number(self.extra.get(TEMPERATURES["sub"]))
+
+    @property
+    def readings(self) -> Mapping[str, float]:
+        """The sensors' readings by name, in the table's order; those without a value are left out.
+
+        Their units stand in the config.
+        """
+        return readings_of(self.extra)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,10 +184,16 @@ def _columns(path: Path, header: list[str] | None) -> list[str]:
             fault = "missing" if name not in columns else "given twice"
             msg = f"{path}:1: column {name!r} is {fault}; the columns are {HEADER}"
             raise FrameSetError(msg)
-    if columns.count(BURST) > 1:
-        msg = f"{path}:1: column {BURST!r} is given twice; keep one"
-        raise FrameSetError(msg)
+    for name in columns:
+        if (name == BURST or _is_number(name)) and columns.count(name) > 1:
+            msg = f"{path}:1: column {name!r} is given twice; keep one"
+            raise FrameSetError(msg)
     return columns
+
+
+def _is_number(column: str) -> bool:
+    """Whether an optional column holds numbers that are read as such."""
+    return column in TEMPERATURES.values() or _READING_COLUMN.fullmatch(column) is not None
 
 
 def _row(cell: dict[str, str]) -> FrameSetRow:
@@ -173,6 +210,10 @@ def _row(cell: dict[str, str]) -> FrameSetRow:
     if number and not (number.isdecimal() and int(number) >= 1):
         msg = f"bad number {number!r} in column {BURST!r}; number the pairs of a slot from 1"
         raise ValueError(msg)
+    for column, text in cell.items():
+        if _is_number(column) and text and optional_number(text) is None:
+            msg = f"bad number {text!r} in column {column!r}; write a number or leave it empty"
+            raise ValueError(msg)
     return FrameSetRow(
         slot_utc=parse_slot(cell["slot_utc"]),
         role=cast("FrameRole", role),
@@ -261,6 +302,22 @@ def _angle(text: str, column: str) -> float | None:
         msg = f"bad angle {text!r} in column {column!r}; write degrees or leave it empty"
         raise ValueError(msg)
     return angle_deg
+
+
+def optional_number(text: str | None) -> float | None:
+    """A finite number; None for an empty cell, and for a damaged one."""
+    try:
+        value = float(text or "")
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def readings_of(cells: Mapping[str, str]) -> dict[str, float]:
+    """The sensors' readings in a line's cells, by name; those without a value are left out."""
+    named = ((_READING_COLUMN.fullmatch(column), text) for column, text in cells.items())
+    found = {match[1]: optional_number(text) for match, text in named if match is not None}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def format_row(row: FrameSetRow) -> str:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 
 from drivers.errors import DeviceError, FrameSetError
-from drivers.frameset import FrameSetRow, read_frame_set
+from drivers.frameset import TEMPERATURES, FrameSetRow, optional_number, read_frame_set
 from drivers.protocols import CapturedFrame, CapturedPair, Role
 
 
@@ -44,7 +43,7 @@ class ReplaySource:
         self._number += 1
         number = self._number
         main, sub = self._frame("main", number, row), self._frame("sub", number, row)
-        return CapturedPair(main, sub, skew_s=_number(row, "skew_s") or 0.0)
+        return CapturedPair(main, sub, skew_s=optional_number(row.extra.get("skew_s")) or 0.0)
 
     def _next_burst(self) -> tuple[FrameSetRow, ...]:
         burst = next(self._bursts, None)
@@ -79,16 +78,7 @@ class ReplaySource:
             frame_id=number,
             camera_time_ns=round(row.slot_utc.timestamp() * 1e9),
             trigger_monotonic_s=0.0,
-            exposure_us=_number(row, f"exposure_{role}_us"),
-            gain_db=_number(row, f"gain_{role}_db"),
-            temperature_c=_number(row, f"temperature_{role}_c"),
+            exposure_us=optional_number(row.extra.get(f"exposure_{role}_us")),
+            gain_db=optional_number(row.extra.get(f"gain_{role}_db")),
+            temperature_c=optional_number(row.extra.get(TEMPERATURES[role])),
         )
-
-
-def _number(row: FrameSetRow, column: str) -> float | None:
-    """A number from an extra column; None where there is none."""
-    try:
-        value = float(row.extra.get(column, ""))
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None

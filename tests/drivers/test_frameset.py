@@ -113,6 +113,32 @@ def test_tables_of_spreadsheets_are_read(tmp_path: Path) -> None:
     assert only.extra == {"skew_s": "0.001"}
 
 
+def test_temperatures_and_readings_are_numbers_of_a_row(tmp_path: Path) -> None:
+    """Optional columns by their names; an empty cell is no value, another name another's column."""
+    header = f"{HEADER},temperature_sub_c,reading_air,temperature_main_c,reading_Air,reading_deck-2"
+    rows = [f"{ROWS[1]},31.5,-4.25,,warm,", f"{ROWS[3]},,,40,,1e3"]
+    first, second = read_frame_set(_table(tmp_path, *rows, header=header)).rows
+    assert (first.main_temperature_c, first.sub_temperature_c) == (None, 31.5)
+    assert (second.main_temperature_c, second.sub_temperature_c) == (40.0, None)
+    assert (first.readings, second.readings) == ({"air": -4.25}, {"deck-2": 1000.0})
+    assert first.extra["reading_Air"] == "warm"
+    (plain,) = read_frame_set(_table(tmp_path, ROWS[3])).rows
+    assert (plain.main_temperature_c, plain.readings) == (None, {})
+
+
+@pytest.mark.parametrize("column", ["temperature_main_c", "temperature_sub_c", "reading_air"])
+def test_a_reading_that_is_no_number_is_named(tmp_path: Path, column: str) -> None:
+    """With file, line and what to do; so is a column that stands twice."""
+    for text in ("warm", "nan", "1,5", "inf"):
+        row = f'{ROWS[3]},"{text}"'
+        with pytest.raises(
+            FrameSetError, match=rf"csv:2: bad number '{text}' in column '{column}'"
+        ):
+            read_frame_set(_table(tmp_path, row, header=f"{HEADER},{column}"))
+    with pytest.raises(FrameSetError, match=rf"csv:1: column '{column}' is given twice"):
+        read_frame_set(_table(tmp_path, f"{ROWS[3]},1,2", header=f"{HEADER},{column},{column}"))
+
+
 def test_table_round_trip(tmp_path: Path) -> None:
     """What is written is read back, extra columns, commas and all."""
     rows = (

@@ -9,11 +9,12 @@ pair; the line is written again from the images at the next start.
 from __future__ import annotations
 
 import errno
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
 from pathlib import Path
+from types import MappingProxyType
 
 from core.images import GreyImage
 from daemon.durable import make_directory_durable, write_durable
@@ -30,10 +31,19 @@ from daemon.store.frames.table import (
 from daemon.store.records import CameraState
 from daemon.times import EPOCH, instant_text, slot_text
 from drivers.errors import FrameSetError
-from drivers.frameset import BURST, FrameSetRow, encode_png, read_image
+from drivers.frameset import (
+    BURST,
+    READING,
+    FrameSetRow,
+    encode_png,
+    optional_number,
+    read_image,
+    readings_of,
+)
 from drivers.protocols import CapturedFrame, CapturedPair
 
 FOLDER = "frames"
+_NO_READINGS: Mapping[str, float | None] = MappingProxyType({})
 LARGEST_BURST = 99
 """Pairs of a slot that file names can tell apart."""
 
@@ -58,6 +68,8 @@ class ArchivedPair:
     captured_utc: datetime | None
     main_camera: CameraState
     sub_camera: CameraState
+    readings: Mapping[str, float]
+    """Of the sensors that gave a value, by name."""
 
 
 class FrameArchive:
@@ -73,9 +85,11 @@ class FrameArchive:
         pair: CapturedPair,
         captured_utc: datetime | None = None,
         number: int = 1,
+        readings: Mapping[str, float | None] = _NO_READINGS,
     ) -> StoredPair:
         """Write a pair, the `number`th of its slot; it is on the disk, complete, at the return.
 
+        `readings` are those of the slot, by name; None where a sensor gave no value.
         Raises SlotTakenError when the slot has that pair, DiskFullError, ArchiveError.
         """
         stored = self.place(slot_utc, number)
@@ -88,6 +102,7 @@ class FrameArchive:
         main_data = encode_png(pair.main.pixels, pair.main.bits)
         sub_data = encode_png(pair.sub.pixels, pair.sub.bits)
         known = _extra(pair, captured_utc, sha256(main_data), sha256(sub_data))
+        known |= {f"{READING}{name}": _text(value) for name, value in readings.items()}
         known[BURST] = str(number)
         with translated(main.parent):
             make_directory_durable(main.parent)
@@ -120,10 +135,11 @@ class FrameArchive:
             stored=stored,
             main=main_image,
             sub=sub_image,
-            skew_s=_number(known.get("skew_s")),
+            skew_s=optional_number(known.get("skew_s")),
             captured_utc=_moment(known.get("captured_utc")),
             main_camera=_camera(known, "main"),
             sub_camera=_camera(known, "sub"),
+            readings=readings_of(known),
         )
 
     def stored_slots(self, since: datetime = EPOCH, last: datetime | None = None) -> list[datetime]:
@@ -202,7 +218,7 @@ def _take_back(path: Path) -> None:
 def _extra(
     pair: CapturedPair, captured_utc: datetime | None, sha256_main: str, sha256_sub: str
 ) -> dict[str, str]:
-    cells = dict.fromkeys(EXTRA_COLUMNS, "")
+    cells = dict.fromkeys((name for name in EXTRA_COLUMNS if name != BURST), "")
     cells["skew_s"] = _text(pair.skew_s)
     cells["captured_utc"] = "" if captured_utc is None else instant_text(captured_utc)
     cells["sha256_main"], cells["sha256_sub"] = sha256_main, sha256_sub
@@ -221,9 +237,9 @@ def camera_state(frame: CapturedFrame) -> CameraState:
 
 def _camera(cells: dict[str, str], role: str) -> CameraState:
     return CameraState(
-        exposure_us=_number(cells.get(f"exposure_{role}_us")),
-        gain_db=_number(cells.get(f"gain_{role}_db")),
-        temperature_c=_number(cells.get(f"temperature_{role}_c")),
+        exposure_us=optional_number(cells.get(f"exposure_{role}_us")),
+        gain_db=optional_number(cells.get(f"gain_{role}_db")),
+        temperature_c=optional_number(cells.get(f"temperature_{role}_c")),
     )
 
 
@@ -237,14 +253,6 @@ def _verified(path: Path, expected: str | None) -> GreyImage:
 
 def _text(value: float | None) -> str:
     return "" if value is None else repr(float(value))
-
-
-def _number(text: str | None) -> float | None:
-    """A number; a damaged cell is as good as an empty one, the images are what counts."""
-    try:
-        return float(text) if text else None
-    except ValueError:
-        return None
 
 
 def _moment(text: str | None) -> datetime | None:

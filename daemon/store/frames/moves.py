@@ -14,7 +14,7 @@ from daemon.errors import SlotTakenError
 from daemon.store.frames.archive import FrameArchive, StoredPair, translated
 from daemon.store.frames.table import EXTRA_COLUMNS, append_row, find, image_names, remove_rows
 from daemon.times import instant_text
-from drivers.frameset import BURST, FrameSetRow
+from drivers.frameset import BURST, READING, FrameSetRow
 
 
 def link_pairs(
@@ -39,7 +39,8 @@ def link_pairs(
             fsync_directory(main.parent)
             if find(main.parent, slot_utc, number) is None:
                 known = find((source.state / old.main_path).parent, from_slot_utc, number) or {}
-                extra = {name: known.get(name, "") for name in EXTRA_COLUMNS}
+                extra = {name: known.get(name, "") for name in EXTRA_COLUMNS if name != BURST}
+                extra |= {name: text for name, text in known.items() if name.startswith(READING)}
                 extra["captured_utc"], extra[BURST] = instant_text(captured_utc), str(number)
                 row = FrameSetRow(slot_utc, "measure", main.name, sub.name, extra=extra)
                 append_row(main.parent, row)

@@ -14,6 +14,7 @@ from daemon.durable import append_durable, fsync_directory, write_durable
 from drivers.errors import FrameSetError
 from drivers.frameset import (
     BURST,
+    COLUMNS,
     TABLE,
     FrameSetRow,
     format_header,
@@ -29,9 +30,8 @@ EXTRA_COLUMNS = (
     *("temperature_main_c", "temperature_sub_c", "sha256_main", "sha256_sub"),
     BURST,
 )
-"""Beyond the standard columns; empty where not known."""
+"""Beyond the standard columns, and those of the readings; empty where not known."""
 
-_HEADER = format_header(EXTRA_COLUMNS).encode() + b"\n"
 _SLOT = re.compile(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
 _MAIN = re.compile(r"([01]\d|2[0-3])([0-5]\d)([0-5]\d)(?:_(\d\d))?_main\.png")
 _TAIL_BYTES = 4096
@@ -41,14 +41,15 @@ _TAIL_BYTES = 4096
 def append_row(directory: Path, row: FrameSetRow) -> None:
     """Add a line durably; rows stay in time order. Raises OSError."""
     path = directory / TABLE
-    line = format_row(row).encode() + b"\n"
     if not path.exists():
-        write_durable(path, _HEADER + line)
+        write_durable(path, f"{format_header(row.extra)}\n{format_row(row)}\n".encode())
         return
     cut_torn_end(path)
-    last = _last_pair(path)
-    if last is not None and last < (format_slot(row.slot_utc).encode(), row.burst):
-        append_durable(path, line)
+    columns, last = _columns_and_last_pair(path)
+    known = columns is not None and set(row.extra) <= set(columns)
+    if known and last is not None and last < (format_slot(row.slot_utc).encode(), row.burst):
+        line = format_row(_with_columns(row, dict.fromkeys(columns or (), "")))
+        append_durable(path, line.encode() + b"\n")
     else:
         _rewrite(directory, [row])
 
@@ -65,7 +66,9 @@ def find(directory: Path, slot_utc: datetime, number: int = 1) -> dict[str, str]
     while start >= 0 and (end := text.find(b"\n", start + 1)) >= 0:
         lines.append(text[start + 1 : end])
         start = text.find(mark, end)
-    for cells in csv.DictReader(line.decode("utf-8", "replace") for line in lines):
+    names, *rows = csv.reader(line.decode("utf-8", "replace") for line in lines)
+    for row in rows:
+        cells = dict(zip(names, row, strict=False))  # a damaged line is read as far as it goes
         if (cells.get(BURST) or "1") == str(number):
             return cells
     return None
@@ -142,17 +145,24 @@ def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def _last_pair(path: Path) -> tuple[bytes, int] | None:
-    """Slot as text and number of the last line; None when only a rewrite can go on from there."""
+def _columns_and_last_pair(path: Path) -> tuple[list[str] | None, tuple[bytes, int] | None]:
+    """The columns beyond the standard ones; slot as text and number of the last line.
+
+    None when only a rewrite can go on from there.
+    """
     with path.open("rb") as file:
-        if file.readline() != _HEADER:
-            return None
-        file.seek(max(len(_HEADER), file.seek(0, os.SEEK_END) - _TAIL_BYTES))
+        header = file.readline()
+        columns = header.decode("utf-8", "replace").rstrip("\n").split(",")
+        if tuple(columns[: len(COLUMNS)]) != COLUMNS or columns[-1] != BURST:
+            return None, None
+        file.seek(max(len(header), file.seek(0, os.SEEK_END) - _TAIL_BYTES))
         lines = file.read().splitlines()
+    extra = columns[len(COLUMNS) :]
     if not lines:
-        return b"", 0
+        return extra, (b"", 0)
     slot, number = lines[-1].partition(b",")[0], lines[-1].rpartition(b",")[2]
-    return (slot, int(number or 1)) if _SLOT.fullmatch(slot) and number.isdigit() else None
+    whole = _SLOT.fullmatch(slot) and number.isdigit()
+    return extra, (slot, int(number or 1)) if whole else None
 
 
 def _rewrite(directory: Path, new: Sequence[FrameSetRow]) -> list[datetime]:
@@ -165,6 +175,7 @@ def _rewrite(directory: Path, new: Sequence[FrameSetRow]) -> list[datetime]:
         extra = dict.fromkeys(EXTRA_COLUMNS, "")
         for row in rows.values():
             extra |= dict.fromkeys(row.extra, "")
+        extra[BURST] = extra.pop(BURST)  # the last one, where the next line looks for it
         write_table(directory, [_with_columns(rows[pair], extra) for pair in sorted(rows)])
     return list(dict.fromkeys(slot for slot, _ in unlisted))
 

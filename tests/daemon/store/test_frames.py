@@ -304,3 +304,37 @@ def test_numbers_of_numpy_are_written_as_numbers(archive: FrameArchive, tmp_path
     archive.store(slot(0), replace(pair(), skew_s=np.float64(0.25)))
     assert ",0.25," in (tmp_path / DAY / "frames.csv").read_text()
     assert read_image(tmp_path / DAY / "000000_sub.png").bits == 8
+
+
+def test_readings_stand_beside_their_pair(archive: FrameArchive, tmp_path: Path) -> None:
+    """A column each; empty where a sensor gave nothing; also for whoever reads the frame set."""
+    archive.store(slot(0), pair(0), readings={"air": 21.5, "steel-1": None})
+    archive.store(slot(1), pair(1), readings={"air": -3.25, "steel-1": 8.0})
+    rows = read_frame_set(tmp_path / DAY).rows
+    assert [row.readings for row in rows] == [{"air": 21.5}, {"air": -3.25, "steel-1": 8.0}]
+    assert [row.main_temperature_c for row in rows] == [41.5, 41.5]
+    assert [row.sub_temperature_c for row in rows] == [None, None]
+    assert archive.load(slot(1)).readings == {"air": -3.25, "steel-1": 8.0}
+
+
+def test_readings_may_come_and_go_within_a_day(archive: FrameArchive, tmp_path: Path) -> None:
+    """As when the config is read again: every line keeps what it had."""
+    given = [{}, {"air": 1.0}, {"air": 2.0, "water": 3.0}, {"water": 4.0}, {}]
+    for number, readings in enumerate(given):
+        archive.store(slot(number), pair(number), readings=readings)
+    archive.store(slot(2), pair(2), number=2, readings={"air": 2.5})
+    rows = read_frame_set(tmp_path / DAY).rows
+    assert [row.readings for row in rows] == [*given[:3], {"air": 2.5}, *given[3:]]
+    assert [archive.load(slot(number)).readings for number in range(5)] == given
+
+
+def test_a_table_with_readings_is_not_written_again_for_a_line(
+    archive: FrameArchive, tmp_path: Path
+) -> None:
+    """The file stays the same one, whether a slot has all of its readings or not."""
+    archive.store(slot(0), pair(0), readings={"air": 1.0, "water": 2.0})
+    before = (tmp_path / DAY / "frames.csv").stat().st_ino
+    archive.store(slot(1), pair(1), readings={"air": None, "water": 2.0})
+    archive.store(slot(2), pair(2), readings={"water": 2.0})
+    archive.store(slot(3), pair(3))
+    assert (tmp_path / DAY / "frames.csv").stat().st_ino == before
