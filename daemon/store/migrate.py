@@ -8,13 +8,9 @@ import uuid
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from datetime import datetime
-from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from alembic import command
-from alembic.config import Config
-from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, Engine, inspect, text
 
 from daemon.durable import fsync_directory
@@ -27,16 +23,26 @@ from daemon.store.records import Mark
 from daemon.store.schema import Base
 from daemon.times import stamp_text
 
+if TYPE_CHECKING:
+    from alembic.config import Config
+
 _PENDING = ".pending"
 """Ends the name of a backup as long as its migration is not done."""
 
 SCHEMA_QUERY = "SELECT type, name, tbl_name, sql FROM sqlite_master ORDER BY name"
 
 
+def scripts() -> Path:
+    """Where the migrations are installed: beside this program."""
+    return revisions.SCRIPTS
+
+
 def alembic_config() -> Config:
-    """Alembic's settings; the scripts are those installed beside this program."""
+    """Alembic's settings."""
+    from alembic.config import Config  # half a second that a start without migration does not need
+
     config = Config()
-    config.set_main_option("script_location", str(files("migrations")).replace("%", "%%"))
+    config.set_main_option("script_location", str(scripts()).replace("%", "%%"))
     return config
 
 
@@ -45,14 +51,9 @@ def head_revision() -> str:
     return known_revisions()[-1]
 
 
-def known_revisions() -> list[str]:
+def known_revisions() -> tuple[str, ...]:
     """The revisions whose scripts are installed, in the order in which they are applied."""
-    scripts = ScriptDirectory.from_config(alembic_config())
-    known = [script.revision for script in scripts.walk_revisions()][::-1]
-    if not known:
-        msg = "no migrations are installed: install the program again"
-        raise RuntimeError(msg)
-    return known
+    return revisions.known_revisions(scripts())
 
 
 def revision(connection: Connection, path: Path) -> str | None:
@@ -145,6 +146,8 @@ def upgrade(engine: Engine, target: str | None = None) -> None:
     It holds the write lock from its start, and the revision is read again inside it, so that of
     two processes only one upgrades.
     """
+    from alembic import command
+
     config = alembic_config()
     with engine.execution_options(dcam_begin="IMMEDIATE").begin() as connection:
         config.attributes["connection"] = connection

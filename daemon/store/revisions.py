@@ -6,19 +6,27 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+import migrations
 from daemon.errors import DatabaseForeignError, DatabaseNewerError, DatabaseOlderError
-from migrations import versions
+
+SCRIPTS = Path(str(migrations.__file__)).parent
+"""Installed beside this program."""
 
 _SCRIPT = re.compile(r"(\d{4})_\w+\.py")
 
-REVISIONS = tuple(
-    sorted(
-        name[1]
-        for script in Path(str(versions.__file__)).parent.iterdir()
-        if (name := _SCRIPT.fullmatch(script.name))
-    )
-)
-"""In the order in which they are applied, as the scripts' names say; the last is this version's."""
+
+def known_revisions(scripts: Path = SCRIPTS) -> tuple[str, ...]:
+    """The revisions in the order in which they are applied, as the scripts' names say."""
+    found = (_SCRIPT.fullmatch(script.name) for script in (scripts / "versions").iterdir())
+    known = tuple(sorted(name[1] for name in found if name))
+    if not known:
+        msg = "no migrations are installed: install the program again"
+        raise RuntimeError(msg)
+    return known
+
+
+REVISIONS = known_revisions()
+"""The last is this version's."""
 
 
 def require_head(found: str | None, path: Path, known: Sequence[str] = REVISIONS) -> None:

@@ -9,13 +9,13 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
 from datetime import UTC, datetime
-from importlib.resources import files
 from pathlib import Path
 
 import pytest
 from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
 from sqlalchemy import Engine, create_engine, event, inspect
 
 from daemon.errors import (
@@ -31,7 +31,7 @@ from daemon.store import migrate
 from daemon.store.database import open_store, open_store_readonly
 from daemon.store.engine import make_engine
 from daemon.store.opening import open_checked_store
-from daemon.store.revisions import REVISIONS
+from daemon.store.revisions import REVISIONS, SCRIPTS
 from daemon.store.salvage.damage_note import databases_set_aside
 from daemon.store.schema import Base
 from daemon.times import slot_text
@@ -44,7 +44,7 @@ NEXT_REVISION = """
 import sqlalchemy as sa
 from alembic import op
 
-revision = "next"
+revision = "9999"
 down_revision = "{head}"
 
 def upgrade():
@@ -62,17 +62,10 @@ def tables(path: Path) -> set[str]:
 def next_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, then: str = "") -> None:
     """Let the program be one version further on."""
     scripts = tmp_path / "next version"
-    shutil.copytree(str(files("migrations")), scripts)
+    shutil.copytree(SCRIPTS, scripts)
     text = NEXT_REVISION.format(head=migrate.head_revision(), then=then)
-    (scripts / "versions" / "next_weather.py").write_text(text)
-    original = migrate.alembic_config
-
-    def config():
-        changed = original()
-        changed.set_main_option("script_location", str(scripts))
-        return changed
-
-    monkeypatch.setattr(migrate, "alembic_config", config)
+    (scripts / "versions" / "9999_weather.py").write_text(text)
+    monkeypatch.setattr(migrate, "scripts", lambda: scripts)
 
 
 @pytest.fixture
@@ -137,7 +130,8 @@ def test_migrations_make_what_the_program_expects(tmp_path: Path) -> None:
 
 
 def test_the_names_of_all_migrations_are_known_without_loading_them() -> None:
-    assert list(REVISIONS) == migrate.known_revisions()
+    scripts = ScriptDirectory.from_config(migrate.alembic_config())
+    assert list(REVISIONS) == [script.revision for script in scripts.walk_revisions()][::-1]
 
 
 def test_an_old_database_is_saved_and_then_migrated(
@@ -145,7 +139,7 @@ def test_an_old_database_is_saved_and_then_migrated(
 ) -> None:
     head = migrate.head_revision()
     next_version(tmp_path, monkeypatch)
-    with pytest.raises(DatabaseOlderError, match=r"this one needs next\): start dcamd once"):
+    with pytest.raises(DatabaseOlderError, match=r"this one needs 9999\): start dcamd once"):
         open_store_readonly(state)
     with pytest.raises(DatabaseOlderError):
         open_store(state, migrate=False)
@@ -207,7 +201,7 @@ def test_a_failing_migration_changes_nothing(
         with pytest.raises(StoreError) as raised:
             open_store(state, now_utc=NOW)
         assert str(raised.value).startswith(
-            f"{state}/dcam.db: cannot be brought to revision next ("
+            f"{state}/dcam.db: cannot be brought to revision 9999 ("
         )
         assert failing[1] in str(raised.value)
         assert str(raised.value).endswith(
@@ -243,7 +237,7 @@ def test_killed_anywhere_in_a_migration_the_old_version_works_or_the_new_one_doe
         migrated.add(is_new)
         if not is_new:
             with monkeypatch.context() as old:
-                old.setattr(migrate, "alembic_config", ALEMBIC_CONFIG)
+                old.setattr(migrate, "scripts", lambda: SCRIPTS)
                 with open_store(state) as store:
                     assert store.last_slot() == slot(0)
         with open_checked_store(state, now_utc=NOW) as store:
@@ -255,9 +249,6 @@ def test_killed_anywhere_in_a_migration_the_old_version_works_or_the_new_one_doe
         shutil.rmtree(state)
     assert step > 15
     assert migrated == {False, True}
-
-
-ALEMBIC_CONFIG = migrate.alembic_config
 
 
 def kill_at(last_step: int) -> None:
@@ -292,7 +283,7 @@ def test_a_database_of_a_newer_version_is_refused_and_left_alone(
             opener(state)
         message = str(caught.value)
         assert "\n" not in message
-        assert "dcam.db: written by a newer version (revision next, this one knows up" in message
+        assert "dcam.db: written by a newer version (revision 9999, this one knows up" in message
         assert message.endswith(
             "install that version again, or restore "
             f"dcam.db.revision-{REVISIONS[-1]}.20260301T123456Z, which has no later rows"
