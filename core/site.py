@@ -156,3 +156,8 @@ class Site:
     def nominal_px_per_mm(self) -> float:
         """The main camera's scale at its target by the lens's nominal focal length."""
         return self.main.focal_px / self.main_target.distance_mm
+
+    @property
+    def targets(self) -> tuple[CirclesTarget, ...]:
+        """All that the main image shows: the main target first, then the further ones."""
+        return (self.main_target, *(extra.target for extra in self.extra_targets))

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray
+from core.discs.blobs import Blobs
 from core.discs.disc_fit import locate_discs
-from core.discs.layout import MIN_DISCS, Expectation, Layout
+from core.discs.layout import MIN_DISCS, DiscAssignment, Expectation, Layout
 from core.discs.search import clear_fits, search_plate
 from core.errors import TargetNotFoundError
 from core.images import GreyImage
@@ -60,11 +61,7 @@ def find_discs(
     >>> seen.points_px.round(1).tolist()
     [[70.0, 54.0], [250.0, 54.0], [160.0, 120.0], [70.0, 186.0]]
     """
-    layout = Layout(target.centres_mm * np.array([1.0, -1.0]), target.diameters_mm / 2.0)
-    expected = Expectation(
-        expected_px_per_mm, expected_px, upright_deg=_MAX_ROLL_DEG, max_roll_deg=_MAX_ROLL_DEG
-    )
-    seen = search_plate(image, layout, expected)
+    seen = search_plate(image, layout_of(target), expectation(expected_px_per_mm, expected_px))
     blobs, assignment = seen.blobs, seen.assignment
     n = len(target.centres_mm)
     if assignment is None:
@@ -76,6 +73,27 @@ def find_discs(
     if not assignment.unambiguous:
         msg = "main target: its discs can be named in more than one way"
         raise TargetNotFoundError(msg)
+    return locate_assigned(image, target, blobs, assignment)
+
+
+def layout_of(target: CirclesTarget) -> Layout:
+    """The discs as the image shows them, y down."""
+    return Layout(target.centres_mm * np.array([1.0, -1.0]), target.diameters_mm / 2.0)
+
+
+def expectation(px_per_mm: float | None, near_px: FloatArray | None = None) -> Expectation:
+    """What is known before looking with a camera that is mounted upright."""
+    return Expectation(px_per_mm, near_px, upright_deg=_MAX_ROLL_DEG, max_roll_deg=_MAX_ROLL_DEG)
+
+
+def locate_assigned(
+    image: GreyImage, target: CirclesTarget, blobs: Blobs, assignment: DiscAssignment
+) -> Discs:
+    """Locate the discs of a target among spots that have been named.
+
+    Raises TargetNotFoundError if fewer than three are clear.
+    """
+    n = len(target.centres_mm)
     at, which = assignment.spots, assignment.discs
     fits = locate_discs(
         image.pixels, image.saturation_dn, blobs.points_px[at], blobs.outline_px[at]

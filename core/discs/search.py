@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import BoolArray
+from core.arrays import BoolArray, FloatArray
 from core.discs.blobs import NO_BLOBS, Blobs, Work, find_blobs, join_blobs, pyramid
 from core.discs.disc_fit import DiscFits
 from core.discs.layout import (
@@ -51,11 +51,12 @@ def search_plate(image: GreyImage, layout: Layout, expected: Expectation) -> Sea
     """
     best: tuple[Blobs, DiscAssignment] | None = None
     seen, spots, work = NO_BLOBS, 0, Work()
-    for shrinks in _looks(image, layout, expected):
+    radii_px = None if expected.px_per_mm is None else layout.radii_mm * expected.px_per_mm
+    for shrinks in looks(image, radii_px):
         found, cost = find_blobs(image.pixels, shrinks)
         work += cost
         seen = join_blobs([seen, found])
-        blobs = _plausible(seen, layout, expected).clearest(MOST_SPOTS)
+        blobs = plausible_spots(seen, radii_px).clearest(MOST_SPOTS)
         spots = max(spots, len(blobs.points_px))
         if len(blobs.points_px) < MIN_DISCS:
             continue
@@ -77,18 +78,16 @@ def clear_fits(fits: DiscFits) -> BoolArray:
     return np.asarray(good & (fits.contrast_dn > 4.0 * fits.noise_dn / np.sqrt(10.0)))
 
 
-def _looks(image: GreyImage, layout: Layout, expected: Expectation) -> Iterator[list[int]]:
-    """By how much to shrink the image, look by look."""
+def looks(image: GreyImage, radii_px: FloatArray | None) -> Iterator[list[int]]:
+    """By how much to shrink the image, look by look, for discs (n,) of about these radii."""
     shape = image.pixels.shape
-    if expected.px_per_mm is None:
+    if radii_px is None:
         shrinks = pyramid(shape, 0.0, np.inf)
         least = -(-max(shape) // _FIRST_SIZE_PX)
         coarse = [shrink for shrink in shrinks if shrink >= least]
     else:
-        radii_px = layout.radii_mm * expected.px_per_mm
-        least_px, most_px = float(radii_px.min()), float(radii_px.max())
-        shrinks = pyramid(shape, 0.8 * least_px / SCALE_TOLERANCE, 1.25 * most_px * SCALE_TOLERANCE)
-        coarse = [shrink for shrink in shrinks if least_px >= 4.0 * shrink]
+        shrinks = pyramid(shape, *_radius_limits_px(radii_px))
+        coarse = [shrink for shrink in shrinks if float(radii_px.min()) >= 4.0 * shrink]
     if coarse:
         yield coarse
     fine = [shrink for shrink in shrinks if shrink not in coarse]
@@ -96,11 +95,21 @@ def _looks(image: GreyImage, layout: Layout, expected: Expectation) -> Iterator[
         yield fine
 
 
-def _plausible(blobs: Blobs, layout: Layout, expected: Expectation) -> Blobs:
+def plausible_spots(blobs: Blobs, radii_px: FloatArray | None) -> Blobs:
     """Those of a size that a disc may have."""
-    if expected.px_per_mm is None:
-        return blobs
-    radii = layout.radii_mm * expected.px_per_mm
-    fits = blobs.radius_px > 0.8 * radii.min() / SCALE_TOLERANCE
-    fits &= blobs.radius_px < 1.25 * radii.max() * SCALE_TOLERANCE
-    return blobs.select(fits)
+    return blobs if radii_px is None else blobs.select(is_plausible(blobs, radii_px))
+
+
+def is_plausible(blobs: Blobs, radii_px: FloatArray) -> BoolArray:
+    """Whether each spot is of a size that a disc may have."""
+    least_px, most_px = _radius_limits_px(radii_px)
+    return np.asarray((blobs.radius_px > least_px) & (blobs.radius_px < most_px))
+
+
+def _radius_limits_px(radii_px: FloatArray) -> tuple[float, float]:
+    """How small and how large a spot may be, for discs of about these radii.
+
+    Besides the scale, the outline of a spot may be off by a quarter.
+    """
+    least_px, most_px = float(radii_px.min()), float(radii_px.max())
+    return 0.8 * least_px / SCALE_TOLERANCE, 1.25 * most_px * SCALE_TOLERANCE
