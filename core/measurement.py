@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,6 +16,7 @@ from core.images import GreyImage, require_size
 from core.quality.verdicts import (
     flag_of,
     is_inconsistent,
+    judge_further,
     judge_main,
     judge_motion,
     judge_sub,
@@ -22,13 +24,53 @@ from core.quality.verdicts import (
     overexposed,
     too_dark,
 )
-from core.results import Diagnostics, Displacement, Flag, Measurement, Reason
+from core.results import (
+    Diagnostics,
+    Displacement,
+    Flag,
+    Measurement,
+    Reason,
+    RigMotion,
+    TargetMeasurement,
+)
 from core.rig.calibrated_site import CalibratedSite
-from core.rig.compensation import CommonShift, corrected_displacement, raw_displacement, rig_motion
-from core.site import CameraGeometry, Site
+from core.rig.closure import close, closure_of, consistent, is_beyond, joint_shifts
+from core.rig.compensation import (
+    CommonShift,
+    SeenTarget,
+    raw_displacement,
+    remaining_shifts,
+    rig_motion,
+)
+from core.rig.stability import Moment, Term, main_scale, stability_terms
+from core.rig.target_search import find_calibrated_targets
+from core.site import MAIN, CameraGeometry, ExtraTarget, Site
 
 _USED_WEIGHT = 0.5
 """Weight from which a corner is counted as used."""
+_FIXED_RESIDUAL_PX = 0.05
+"""rms of the discs of a fixed target about their common shift, from which it is not believed. As
+in the verdict on targets."""
+_OF_ALL_TARGETS = frozenset(
+    {
+        Reason.MAIN_IMAGE_UNREADABLE,
+        Reason.SUB_IMAGE_UNREADABLE,
+        Reason.MAIN_IMAGE_WRONG_SIZE,
+        Reason.SUB_IMAGE_WRONG_SIZE,
+        Reason.MAIN_IMAGE_MISSING,
+        Reason.SUB_IMAGE_MISSING,
+        Reason.TOO_DARK,
+        Reason.SUB_TARGET_NOT_FOUND,
+        Reason.SUB_TARGET_PARTLY_HIDDEN,
+        Reason.SUB_TARGET_DISTURBED,
+        Reason.SUB_TARGET_UNCERTAIN,
+        Reason.SUB_TARGET_CHANGED,
+        Reason.MOTION_OUT_OF_RANGE,
+        Reason.NOT_SIMULTANEOUS,
+        Reason.CLOSURE_TOO_LARGE,
+    }
+)
+"""Reasons of a row that concern every target in it."""
 
 
 def measure_pair(
@@ -37,32 +79,36 @@ def measure_pair(
     site: Site,
     calibration: Calibration,
     skew_s: float | None = None,
+    moment: Moment | None = None,
+    distrusted: Collection[str] = (),
 ) -> Measurement:
     """Measure one pair.
 
     Discs, board, pose, rig motion (Eq. 12), false shift (Eq. 15, 17), displacement (Eq. 20)
-    `d = inv(B~) (u_j - u_false_j)`, verdict; Eq. n of Lee et al. (2020), see docs/method.md. Never
-    raises for what an image shows; None means there is no image. skew_s is the trigger of the sub
-    image less that of the main one. An example is in docs/functions.md.
+    `d = inv(B~) (u_j - u_false_j)`, what fixed targets show of the rig's error, verdict; Eq. n of
+    Lee et al. (2020), see docs/method.md. Never raises for what an image shows; None means there
+    is no image. skew_s is the trigger of the sub image less that of the main one. With moment the
+    sigmas hold what may have changed since the reference; without, the pixels and the calibration
+    alone. Fixed targets named in distrusted are measured and not believed. An example is in
+    docs/functions.md.
     """
     calibrated = calibration.calibrated
-    main_seen, reasons = _see_main(main, site, calibrated)
     sub_seen, sub_reasons = _see_sub(sub, site, calibrated)
+    motion = None if sub_seen is None else rig_motion(calibrated, sub_seen.pose)
+    main_seen, reasons = _see_main(main, site, calibrated, motion)
     reasons += sub_reasons
-    raw = corrected = motion = None
-    common = None
-    if main_seen is not None:
-        raw, common = main_seen.raw, main_seen.shift
-    if sub_seen is not None:
-        motion = rig_motion(calibrated, sub_seen.pose)
+    if motion is not None:
         reasons += judge_motion(calibrated, motion, site)
-    if main_seen is not None and sub_seen is not None:
-        corrected, common = corrected_displacement(
-            calibrated, main_seen.discs, sub_seen.pose, sub_seen.located.view
-        )
+    terms = _stability(site, calibration, moment)
+    together = _together(main_seen, sub_seen, site, calibration, terms, distrusted)
+    corrected = together.corrected.get(MAIN)
+    raw = main_seen.raw.get(MAIN)
+    common = together.common.get(MAIN) or main_seen.common.get(MAIN)
+    if corrected is not None:
         reasons += judge_value(corrected, site)
-    if main_seen is not None and common is not None:
-        reasons += judge_main(calibrated, main_seen.discs, common if sub_seen else None)
+    if common is not None:
+        reasons += judge_main(calibrated, main_seen.discs[MAIN], common if sub_seen else None)
+    reasons += together.reasons
     if skew_s is not None and abs(skew_s) * 1e3 > site.quality.max_skew_ms:
         reasons.append(Reason.NOT_SIMULTANEOUS)
     unique = tuple(dict.fromkeys(reasons))
@@ -74,8 +120,13 @@ def measure_pair(
         corrected,
         raw,
         motion,
-        _diagnostics(main_seen, sub_seen, common.residual_px if common else None),
+        _diagnostics(main_seen.discs.get(MAIN), sub_seen, common.residual_px if common else None),
         frames_used=0 if corrected is None else 1,
+        closure=together.closure,
+        targets=tuple(
+            _further(extra, main_seen, sub_seen, together, reasons, calibrated)
+            for extra in site.extra_targets
+        ),
     )
 
 
@@ -114,9 +165,23 @@ def look_at_pair(main: GreyImage | None, sub: GreyImage | None, site: Site) -> M
 
 @dataclass(frozen=True, slots=True)
 class _MainSeen:
-    discs: Discs
-    raw: Displacement
-    shift: CommonShift
+    """What the main image shows, by the targets' names."""
+
+    discs: dict[str, Discs]
+    raw: dict[str, Displacement]
+    common: dict[str, CommonShift]
+
+
+@dataclass(frozen=True, slots=True)
+class _Together:
+    """What both images together say, by the targets' names."""
+
+    corrected: dict[str, Displacement]
+    common: dict[str, CommonShift]
+    closure: Displacement | None
+    moved: frozenset[str]
+    """Fixed targets that are not believed."""
+    reasons: tuple[Reason, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,19 +210,45 @@ def _not_found(image: GreyImage, reason: Reason) -> list[Reason]:
 
 
 def _see_main(
-    image: GreyImage | None, site: Site, calibrated: CalibratedSite
-) -> tuple[_MainSeen | None, list[Reason]]:
+    image: GreyImage | None, site: Site, calibrated: CalibratedSite, motion: RigMotion | None
+) -> tuple[_MainSeen, list[Reason]]:
+    nothing = _MainSeen({}, {}, {})
     image, reasons = _usable(image, site.main, "main")
     if image is None:
-        return None, reasons
+        return nothing, reasons
+    discs = _find_targets(image, site, calibrated, motion)
+    raw, common = {}, {}
+    for target in (calibrated.main_target, *calibrated.further):
+        if target.name not in discs:
+            continue
+        try:
+            found = raw_displacement(calibrated, SeenTarget(target, discs[target.name]))
+        except TargetNotFoundError:
+            del discs[target.name]
+            continue
+        raw[target.name], common[target.name] = found
+    if MAIN not in discs:
+        reasons += _not_found(image, Reason.MAIN_TARGET_NOT_FOUND)
+    return _MainSeen(discs, raw, common), reasons
+
+
+def _find_targets(
+    image: GreyImage, site: Site, calibrated: CalibratedSite, motion: RigMotion | None
+) -> dict[str, Discs]:
+    """The discs of all targets that are seen, by name."""
     try:
-        discs = find_discs(
-            image, site.main_target, site.nominal_px_per_mm, calibrated.reference_discs_px
-        )
-        raw, shift = raw_displacement(calibrated, discs)
+        if not calibrated.further:
+            return {
+                MAIN: find_discs(
+                    image,
+                    site.main_target,
+                    site.nominal_px_per_mm,
+                    calibrated.reference_discs_px,
+                )
+            }
+        return find_calibrated_targets(image, site, calibrated, motion)
     except TargetNotFoundError:
-        return None, reasons + _not_found(image, Reason.MAIN_TARGET_NOT_FOUND)
-    return _MainSeen(discs, raw, shift), reasons
+        return {}
 
 
 def _see_sub(
@@ -180,16 +271,87 @@ def _see_sub(
     return _SubSeen(located, pose), reasons + judge_sub(calibrated, located, pose)
 
 
+def _stability(site: Site, calibration: Calibration, moment: Moment | None) -> tuple[Term, ...]:
+    if moment is None or calibration.reference is None:
+        return ()
+    return stability_terms(
+        site, main_scale(calibration.calibrated.B), calibration.reference, moment
+    )
+
+
+def _together(
+    main: _MainSeen,
+    sub: _SubSeen | None,
+    site: Site,
+    calibration: Calibration,
+    terms: Sequence[Term],
+    distrusted: Collection[str],
+) -> _Together:
+    """Take the rig's motion off all targets, and what the fixed ones show off the rest."""
+    calibrated = calibration.calibrated
+    seen = [
+        SeenTarget(target, main.discs[target.name])
+        for target in (calibrated.main_target, *calibrated.further)
+        if target.name in main.discs
+    ]
+    if sub is None or not seen:
+        return _Together({}, {}, None, frozenset(), ())
+    shifts = remaining_shifts(calibrated, seen, sub.pose, sub.located.view)
+    joint = joint_shifts(shifts, site, site.main.centre_px, terms)
+    common = dict(zip(joint.names, shifts.common, strict=True))
+    clean = [
+        name
+        for name, fixed in zip(joint.names, joint.fixed, strict=True)
+        if fixed and name not in distrusted and common[name].residual_px < _FIXED_RESIDUAL_PX
+    ]
+    believed = consistent(joint, clean)
+    moved = frozenset(clean) - set(believed) | set(distrusted).intersection(joint.names)
+    closure = closure_of(joint, believed)
+    reasons = [Reason.FIXED_TARGET_MOVED] if moved else []
+    if closure is not None and terms and is_beyond(closure):
+        reasons.append(Reason.CLOSURE_TOO_LARGE)
+    return _Together(close(joint, believed), common, closure, frozenset(moved), tuple(reasons))
+
+
+def _further(
+    extra: ExtraTarget,
+    main: _MainSeen,
+    sub: _SubSeen | None,
+    together: _Together,
+    row: Sequence[Reason],
+    calibrated: CalibratedSite,
+) -> TargetMeasurement:
+    """What a pair says of a further target."""
+    name = extra.name
+    target = next((one for one in calibrated.further if one.name == name), None)
+    corrected, raw = together.corrected.get(name), main.raw.get(name)
+    reasons: list[Reason] = [reason for reason in row if reason in _OF_ALL_TARGETS]
+    if target is None:
+        reasons.append(Reason.TARGET_NOT_CALIBRATED)
+    elif name not in main.discs:
+        reasons.append(Reason.TARGET_NOT_FOUND)
+    else:
+        common = together.common.get(name)
+        reasons += judge_further(target, main.discs[name], common)
+        if is_inconsistent(common or main.common[name], sub.pose if sub else None):
+            raw = corrected = None
+    if name in together.moved:
+        reasons.append(Reason.FIXED_TARGET_MOVED)
+    unique = tuple(dict.fromkeys(reasons))
+    flag = flag_of(unique, has_value=corrected is not None)
+    return TargetMeasurement(name, extra.role, flag, unique, corrected, raw)
+
+
 def _diagnostics(
-    main: _MainSeen | None, sub: _SubSeen | None, residual_px: float | None
+    discs: Discs | None, sub: _SubSeen | None, residual_px: float | None
 ) -> Diagnostics:
     return Diagnostics(
-        discs_found=0 if main is None else int(main.discs.found.sum()),
+        discs_found=0 if discs is None else int(discs.found.sum()),
         corners_used=0 if sub is None else int((sub.pose.weights > _USED_WEIGHT).sum()),
         main_residual_px=residual_px,
         sub_residual_px=None if sub is None else sub.pose.rms_px,
-        main_contrast_dn=None if main is None else main.discs.contrast_dn,
+        main_contrast_dn=None if discs is None else discs.contrast_dn,
         sub_contrast_dn=None if sub is None else sub.located.contrast_dn,
-        main_blur_px=None if main is None else main.discs.blur_px,
+        main_blur_px=None if discs is None else discs.blur_px,
         sub_blur_px=None if sub is None else sub.located.blur_px,
     )

@@ -7,12 +7,16 @@ explain costs time only where a target was not found.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+
+import numpy as np
 
 from core.checkerboard.board import Board
 from core.checkerboard.board_mismatch import too_few_between_borders, turned
 from core.checkerboard.corners import LocatedBoard, detect_board
 from core.discs.disc_finder import Discs, find_discs
 from core.discs.disc_mismatch import DiscMismatch, SeenDiscs, doubt_size, explain_discs
+from core.discs.plates import WantedPlate, find_plates
 from core.errors import NotRecognisedError, TargetNotFoundError
 from core.images import GreyImage
 from core.site import Site
@@ -44,6 +48,45 @@ def recognise_discs(image: GreyImage, site: Site) -> Discs:
     if not discs.found.all():
         _require_no_better_way(image, site)
     return discs
+
+
+def recognise_targets(
+    image: GreyImage, site: Site, before: Sequence[Discs | None] | None = None
+) -> tuple[Discs, tuple[Discs | None, ...]]:
+    """Find the main target and the further ones; None stands for a further one that is not seen.
+
+    before is what an earlier image showed, the main target first. Raises as `recognise_discs`, and
+    TargetNotFoundError where it is not certain which of two alike targets is which.
+    """
+    if not site.extra_targets:
+        return recognise_discs(image, site), ()
+    discs, *further = find_plates(image, wanted_plates(site, before))
+    if discs is None:
+        why = _why_no_discs(image, site)
+        if why is None:
+            msg = "main target: not seen among the targets of the main image"
+            raise TargetNotFoundError(msg)
+        msg = f"main target: {why}"
+        raise NotRecognisedError(msg)
+    return discs, tuple(further)
+
+
+def wanted_plates(
+    site: Site, before: Sequence[Discs | None] | None = None
+) -> tuple[WantedPlate, ...]:
+    """What is known of all targets of the main image before looking; before: an earlier image."""
+    names = ["main target", *(f'target "{extra.name}"' for extra in site.extra_targets)]
+    given = [None, *(extra.position_px for extra in site.extra_targets)]
+    known = before or [None] * len(names)
+    wanted = []
+    for name, target, position, discs in zip(names, site.targets, given, known, strict=True):
+        near = None if discs is None else discs.points_px
+        rough = near is None and position is not None
+        if rough:
+            near = np.tile(np.asarray(position), (len(target.centres_mm), 1))
+        scale = site.main.focal_px / target.distance_mm
+        wanted.append(WantedPlate(name, target, scale, near, rough=rough))
+    return tuple(wanted)
 
 
 def _require_no_better_way(image: GreyImage, site: Site) -> None:

@@ -48,6 +48,10 @@ class CirclesTarget:
     distance_sigma_mm: float
 
 
+MAIN = "main"
+"""The name of the main target among others."""
+
+
 class TargetRole(StrEnum):
     """What a further target in the main image is for."""
 
@@ -66,8 +70,9 @@ class ExtraTarget:
     target: CirclesTarget
     position_px: FloatArray | None = None
     """(2,) about where its middle is in the reference image; None where size and layout tell."""
-    stable_mm: float = 0.05
-    """1 sigma of a fixed target's own movement, in x and in y."""
+    stable_mm: float = 0.0
+    """1 sigma of a fixed target's own movement, in x and in y; with 0 displacements are beside it,
+    as levels are beside a benchmark."""
 
 
 @dataclass(frozen=True, slots=True)

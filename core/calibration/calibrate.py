@@ -24,6 +24,7 @@ from core.errors import CalibrationError
 from core.images import GreyImage
 from core.results import CalibrationReport
 from core.rig.calibrated_site import CalibratedSite
+from core.rig.stability import Moment
 from core.site import Site
 
 _FORMAT = 3
@@ -36,10 +37,19 @@ class Calibration:
 
     method: Method
     calibrated: CalibratedSite
+    reference: Moment | None = None
+    """When the reference was taken; None where that was not recorded."""
 
     def to_dict(self) -> dict[str, Any]:
         """Give plain JSON types."""
-        return {"format": _FORMAT, "method": self.method.value, "setup": self.calibrated.to_dict()}
+        content = {
+            "format": _FORMAT,
+            "method": self.method.value,
+            "setup": self.calibrated.to_dict(),
+        }
+        if self.reference is not None:
+            content["reference"] = self.reference.to_dict()
+        return content
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Calibration:
@@ -52,7 +62,12 @@ class Calibration:
                     "(dcam-ctl calibrate --from)"
                 )
                 raise CalibrationError(msg)
-            return cls(Method(data["method"]), CalibratedSite.from_dict(data["setup"]))
+            reference = data.get("reference")
+            return cls(
+                Method(data["method"]),
+                CalibratedSite.from_dict(data["setup"]),
+                None if reference is None else Moment.from_dict(reference),
+            )
         except (KeyError, ValueError, TypeError) as error:
             msg = f"calibration: not readable ({error!r}); calibrate again"
             raise CalibrationError(msg) from error
@@ -98,12 +113,19 @@ def calibrate(
         check_survey(fit, site, _reference_main(views)),
         unreadable,
     )
-    return Calibration(method, calibrated), report
+    return Calibration(method, calibrated, _reference(views).moment), report
+
+
+def _reference(views: Sequence[CalibrationView]) -> CalibrationView:
+    """The one reference, which `find_targets` requires."""
+    (reference,) = (v for v in views if v.role is ViewRole.REFERENCE)
+    return reference
 
 
 def _reference_main(views: Sequence[CalibrationView]) -> GreyImage:
     """The main camera's reference image, which `find_targets` requires."""
-    (main,) = (v.main for v in views if v.role is ViewRole.REFERENCE and v.main is not None)
+    main = _reference(views).main
+    assert main is not None  # noqa: S101 - as above
     return main
 
 

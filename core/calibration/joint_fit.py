@@ -27,10 +27,11 @@ from core.geometry.lens import Lens
 from core.geometry.pose import Pose
 from core.lens.intrinsics import lens_prior
 from core.rig.calibrated_site import Baseline, CalibratedSite
+from core.rig.calibrated_target import CalibratedTarget
 from core.rig.compensation import affine
 from core.rig.paper import PaperModel, fit_paper
 from core.rig.posterior import Posterior
-from core.rig.propagation import DISC_FLOOR_PX, expected_sensitivities, predict_shift
+from core.rig.propagation import DISC_FLOOR_PX, expected_effects, predict_shift
 from core.rig.rigid import MainView, Rig
 from core.site import Site
 
@@ -291,7 +292,7 @@ def build_calibrated_site(fit: Fit, options: FitOptions) -> CalibratedSite:
     """What measurements need of a fit."""
     calibrated = build_uncompressed_site(fit, options)
     effects_px = [
-        expected_sensitivities(calibrated, options.site.sub, motion)[0].propagate(fit.posterior)
+        expected_effects(calibrated, options.site.sub, motion)
         for motion in (*fit.motions, *drift_motions(options.site.quality))
     ]
     seen = fit.views.reference.discs.found
@@ -320,7 +321,30 @@ def build_uncompressed_site(fit: Fit, options: FitOptions) -> CalibratedSite:
         fit.model,
         fit.posterior,
         baseline,
+        _further_targets(fit, options),
     )
+
+
+def _further_targets(fit: Fit, options: FitOptions) -> tuple[CalibratedTarget, ...]:
+    """The further targets that the reference shows."""
+    targets = []
+    seen_there = fit.views.reference.further  # none in views that are only planned
+    for extra, discs in zip(options.site.extra_targets, seen_there, strict=False):
+        if discs is None or options.method is not Method.RIGID:
+            continue
+        seen = discs.found
+        targets.append(
+            CalibratedTarget(
+                extra.name,
+                extra.role,
+                discs.points_px,
+                disc_sigmas_px(discs) ** 2,
+                affine(extra.target.centres_mm[seen], discs.points_px[seen])[0],
+                extra.target.distance_mm,
+                extra.target.distance_sigma_mm,
+            )
+        )
+    return tuple(targets)
 
 
 def _typical(contrast_and_blur: Sequence[tuple[float, float]]) -> tuple[float, float]:

@@ -15,7 +15,13 @@ from core.discs.disc_finder import Discs
 from core.errors import CalibrationError, ImageError, NotRecognisedError, TargetNotFoundError
 from core.geometry.lens import Lens
 from core.images import GreyImage, require_size
-from core.recognition import board_doubt, recognise_board, recognise_discs, recognise_mounted_board
+from core.recognition import (
+    board_doubt,
+    recognise_board,
+    recognise_mounted_board,
+    recognise_targets,
+)
+from core.rig.stability import Moment
 from core.site import Site
 
 
@@ -36,6 +42,8 @@ class CalibrationView:
     role: ViewRole
     main: GreyImage | None
     sub: GreyImage
+    moment: Moment | None = None
+    """When it was taken; needed of the reference alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +60,9 @@ class PairView(LensView):
     """A view of both targets."""
 
     discs: Discs
+    """Of the main target."""
+    further: tuple[Discs | None, ...] = ()
+    """Of the further targets, in the order of the site; None where one is not seen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +107,7 @@ def find_targets(views: Sequence[CalibrationView], site: Site) -> tuple[Views, l
     for view in views:
         try:
             if view.role is ViewRole.RIG:
-                rig.append(_look_at_both(view, site))
+                rig.append(_look_at_both(view, site, reference))
             elif view.role is ViewRole.INTRINSICS:
                 lens.append(_look_at_board(view, site))
         except (TargetNotFoundError, ImageError) as error:
@@ -146,14 +157,21 @@ def _look_at_board(view: CalibrationView, site: Site, *, mounted: bool = False) 
     return LensView(view.name, view.sub, see(view.sub, site))
 
 
-def _look_at_both(view: CalibrationView, site: Site, *, mounted: bool = False) -> PairView:
+def _look_at_both(
+    view: CalibrationView,
+    site: Site,
+    reference: PairView | None = None,
+    *,
+    mounted: bool = False,
+) -> PairView:
     seen = _look_at_board(view, site, mounted=mounted)
     if view.main is None:
         msg = "no main image"
         raise TargetNotFoundError(msg)
     require_size(view.main, site.main, "main image")
-    discs = recognise_discs(view.main, site)
-    return PairView(seen.name, seen.sub, seen.board, discs)
+    before = None if reference is None else (reference.discs, *reference.further)
+    discs, further = recognise_targets(view.main, site, before)
+    return PairView(seen.name, seen.sub, seen.board, discs, further)
 
 
 def relocate_corners(views: Views, lens: Lens, board: Board) -> Views:

@@ -52,6 +52,9 @@ as uneven light is usual and contrast shall decide only where places and outline
 _PERSPECTIVE_SIGMA = 0.2
 """Of the change of depth over the target, relative to its mean. Chosen: a target tilted by 60
 degrees reaches that from a distance of four times its size, and a bridge's is far beyond."""
+_SCALE_SIGMA = 0.2
+"""Of the natural logarithm of the scale over the one expected. Chosen: it decides between plates of
+which one is half as large, and only where all else leaves the choice open."""
 _WORST = 25.0
 """Cost from which a spot is not this disc: five sigma in one of place and outline."""
 _MISSING = 15.0
@@ -247,6 +250,9 @@ def _refine(
     cost += (perspective(H, layout.places_mm) / _PERSPECTIVE_SIGMA) ** 2
     cost += _MISSING * (len(spots) - len(discs))
     at_middle = slopes(H, layout.places_mm.mean(axis=0, keepdims=True))[0]
+    if expected.px_per_mm is not None:
+        scale = 0.5 * np.log(max(float(np.linalg.det(at_middle)), 1e-12) / expected.px_per_mm**2)
+        cost += float(scale / _SCALE_SIGMA) ** 2
     roll = np.arctan2(at_middle[1, 0] - at_middle[0, 1], at_middle[0, 0] + at_middle[1, 1])
     if abs(np.degrees(roll)) > expected.max_roll_deg:
         return None

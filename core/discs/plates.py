@@ -149,7 +149,7 @@ def _radii_px(plate: WantedPlate) -> FloatArray:
 
 def _of_any(blobs: Blobs, wanted: Sequence[WantedPlate]) -> BoolArray:
     """Which spots (n,) may be a disc of some target."""
-    return np.any([is_plausible(blobs, _radii_px(plate)) for plate in wanted], axis=0)
+    return np.asarray(np.any([is_plausible(blobs, _radii_px(one)) for one in wanted], axis=0))
 
 
 def _spots_named(chosen: Sequence[_Place | None]) -> int:

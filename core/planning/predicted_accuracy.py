@@ -24,7 +24,14 @@ from core.geometry.pose import Pose
 from core.planning.planned_site import CalibrationPlan, PlannedSite
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.posterior import Posterior, Sensitivities
-from core.rig.propagation import DISC_FLOOR_PX, predict_shift, reference_noise, shift_sensitivities
+from core.rig.propagation import (
+    DISC_FLOOR_PX,
+    DiscCombination,
+    mean_of,
+    predict_shift_of,
+    reference_noise,
+    shift_sensitivities,
+)
 from core.site import Site
 
 FAIR_PRINT = PrintSpread(column_mm=0.005, row_mm=0.005, corner_mm=0.001)
@@ -136,11 +143,14 @@ def predict_row(planned: PlannedSite, calibrated: CalibratedSite, motion: Pose) 
     if len(view.index) < MIN_CORNERS or len(which) == 0:
         msg = "the expected drift takes a target out of its image: see [quality] expected_drift_*"
         raise TargetNotFoundError(msg)
-    weights, root = np.full(len(which), 1.0 / len(which)), view.whitening()
-    prediction = predict_shift(calibrated.model, calibrated.reference_discs_px[which], motion)
-    sensitivities, by_pose = shift_sensitivities(
-        calibrated, prediction, which, weights, pose, view, root
+    weights, root, target = (
+        np.full(len(which), 1.0 / len(which)),
+        view.whitening(),
+        calibrated.main_target,
     )
+    prediction = predict_shift_of(calibrated, target, which, motion)
+    shift = DiscCombination(target, which, mean_of(weights), prediction)
+    sensitivities, by_pose = shift_sensitivities(calibrated, [shift], pose, view, root)
     jacobian = root @ pose_jacobian(calibrated.lens, pose, calibrated.corners_mm[view.index])[1]
     flat = jacobian.reshape(-1, 6)
     each_px2 = pair.discs.covariance_px2[which] + DISC_FLOOR_PX**2 * np.eye(2)

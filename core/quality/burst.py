@@ -8,14 +8,25 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import stdtrit
 
 from core.arrays import FloatArray
 from core.quality.verdicts import flag_of
-from core.results import Diagnostics, Displacement, Flag, Measurement, Reason, RigMotion
+from core.results import (
+    Diagnostics,
+    Displacement,
+    Flag,
+    Measurement,
+    Reason,
+    RigMotion,
+    TargetMeasurement,
+)
+
+Seen = TypeVar("Seen", Measurement, TargetMeasurement)
 
 _HUBER = 2.0
 """Standard deviations of a two-dimensional normal distribution: one pair in seven is beyond."""
@@ -45,10 +56,13 @@ def combine(pairs: Sequence[Measurement]) -> Measurement:
     chosen, reasons = _verdict(pairs)
     used = [pair for pair in chosen if pair.corrected is not None]
     flag = flag_of(reasons, has_value=bool(used))
+    targets = _combine_targets(used or pairs)
+    closure = _mean([pair.closure for pair in used or pairs if pair.closure is not None])
     if not used:
         raw = _mean([pair.raw for pair in pairs if pair.raw is not None])
         motion = _mean_motion([pair.motion for pair in pairs if pair.motion is not None])
-        return Measurement(flag, reasons, None, raw, motion, _typical(pairs))
+        seen = _typical(pairs)
+        return Measurement(flag, reasons, None, raw, motion, seen, closure=closure, targets=targets)
     values = [pair.corrected for pair in used if pair.corrected is not None]
     weights = _weights(values)
     return Measurement(
@@ -60,10 +74,32 @@ def combine(pairs: Sequence[Measurement]) -> Measurement:
         _typical(used),
         _spread(values, weights) if len(values) > 1 else None,
         len(values),
+        closure,
+        targets,
     )
 
 
-def _verdict(pairs: Sequence[Measurement]) -> tuple[Sequence[Measurement], tuple[Reason, ...]]:
+def _combine_targets(pairs: Sequence[Measurement]) -> tuple[TargetMeasurement, ...]:
+    """The further targets, each by the pairs that speak for it."""
+    return tuple(
+        _combine_target(seen) for seen in zip(*(pair.targets for pair in pairs), strict=False)
+    )
+
+
+def _combine_target(seen: Sequence[TargetMeasurement]) -> TargetMeasurement:
+    chosen, reasons = _verdict(seen)
+    values = [one.corrected for one in chosen if one.corrected is not None]
+    raws = [one.raw for one in chosen if one.raw is not None]
+    return replace(
+        seen[0],
+        flag=flag_of(reasons, has_value=bool(values)),
+        reasons=reasons,
+        corrected=_mean(values, _weights(values) if len(values) > 1 else None),
+        raw=_mean(raws),
+    )
+
+
+def _verdict(pairs: Sequence[Seen]) -> tuple[Sequence[Seen], tuple[Reason, ...]]:
     """Which pairs speak for the slot, and the reasons why it is not good."""
     good = [pair for pair in pairs if pair.flag is Flag.GOOD]
     if 2 * len(good) >= len(pairs):
@@ -75,7 +111,7 @@ def _verdict(pairs: Sequence[Measurement]) -> tuple[Sequence[Measurement], tuple
     return without, _reasons_of_most(without)
 
 
-def _reasons_of_most(pairs: Sequence[Measurement]) -> tuple[Reason, ...]:
+def _reasons_of_most(pairs: Sequence[Seen]) -> tuple[Reason, ...]:
     """The reasons that more than half of the pairs give; else those given most often."""
     counts = Counter(reason for pair in pairs for reason in pair.reasons)
     enough = min(len(pairs) / 2.0 + 0.5, max(counts.values()))
@@ -119,12 +155,14 @@ def _mean(values: Sequence[Displacement], weights: FloatArray | None = None) -> 
     w = np.ones(len(values)) if weights is None else weights
     mm = w @ np.array([value.mm for value in values]) / w.sum()
     own = np.mean([_own(value) for value in values], axis=0)
-    shared = np.mean([value.covariance_mm2 for value in values], axis=0) - own
+    whole = np.mean([value.covariance_mm2 for value in values], axis=0)
+    images = [v.covariance_mm2 if v.image_mm2 is None else v.image_mm2 for v in values]
+    shared, calibration = whole - own, np.mean(images, axis=0) - own
     if len(values) > 1:
         seen = stdtrit(len(values) - 1.0, _ONE_SIGMA) * _spread(values, w)
         wider = np.maximum(1.0, seen / np.sqrt(np.maximum(np.diag(own), 1e-18)))
         own = own * np.outer(wider, wider) / w.sum()
-    return Displacement(mm, own + shared, shared)
+    return Displacement(mm, own + shared, shared, own + calibration)
 
 
 def _mean_motion(

@@ -14,6 +14,7 @@ from core.quality.print_fingerprint import print_mismatch
 from core.quality.residual_ratio import LEAST_RMS_PX, contrast_noise_factor
 from core.results import Displacement, Flag, Reason, RigMotion
 from core.rig.calibrated_site import CalibratedSite
+from core.rig.calibrated_target import CalibratedTarget
 from core.rig.compensation import AFFINE_LIMIT_PX, CommonShift, affine_error_px
 from core.rig.paper import PaperModel
 from core.site import Site
@@ -85,6 +86,19 @@ def judge_main(calibrated: CalibratedSite, discs: Discs, shift: CommonShift | No
     return reasons
 
 
+def judge_further(
+    target: CalibratedTarget, discs: Discs, shift: CommonShift | None
+) -> list[Reason]:
+    """What is doubtful about a further target in the main image; shift as for the main one."""
+    reasons = []
+    wanted = np.isfinite(target.reference_px).all(axis=1)
+    if (discs.explained_fraction[wanted] < _CLEAN).any() or not discs.found[wanted].all():
+        reasons.append(Reason.TARGET_PARTLY_HIDDEN)
+    if shift is not None and shift.residual_px > _MAIN_RESIDUAL_PX:
+        reasons.append(Reason.TARGET_DISTURBED)
+    return reasons
+
+
 def judge_sub(calibrated: CalibratedSite, located: LocatedBoard, board: BoardPose) -> list[Reason]:
     """What is doubtful about the sub target."""
     reasons = []
@@ -148,8 +162,9 @@ def judge_motion(calibrated: CalibratedSite, motion: RigMotion, site: Site) -> l
 
 
 def judge_value(corrected: Displacement, site: Site) -> list[Reason]:
-    """Whether the value is too uncertain."""
-    sigma: FloatArray = np.sqrt(np.diag(corrected.covariance_mm2))
+    """Whether the value is too uncertain by its pixels and the calibration."""
+    image_mm2 = corrected.covariance_mm2 if corrected.image_mm2 is None else corrected.image_mm2
+    sigma: FloatArray = np.sqrt(np.diag(image_mm2))
     return [Reason.SIGMA_TOO_LARGE] if float(sigma.max()) > site.quality.max_sigma_mm else []
 
 

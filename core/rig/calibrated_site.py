@@ -13,9 +13,11 @@ from core.checkerboard.board_shape import shape_terms
 from core.geometry.lens import Lens
 from core.geometry.pose import Pose
 from core.lens_model import LensModel
+from core.rig.calibrated_target import CalibratedTarget, points_from_json, points_to_json
 from core.rig.paper import PaperModel
 from core.rig.posterior import Posterior
 from core.rig.rigid import Rig
+from core.site import MAIN
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +53,15 @@ class CalibratedSite:
     posterior: Posterior
     """How far all of this can be trusted."""
     baseline: Baseline
+    further: tuple[CalibratedTarget, ...] = ()
+    """The further targets that the reference shows."""
+
+    @property
+    def main_target(self) -> CalibratedTarget:
+        """The main target as the further ones are."""
+        nothing = np.zeros(len(self.reference_discs_px))
+        depth_mm = self.model.depth_mm if isinstance(self.model, Rig) else 0.0
+        return CalibratedTarget(MAIN, None, self.reference_discs_px, nothing, self.B, depth_mm, 0.0)
 
     @property
     def shape_terms(self) -> FloatArray:
@@ -59,7 +70,7 @@ class CalibratedSite:
 
     def to_dict(self) -> dict[str, Any]:
         """Give plain JSON types; NaN becomes null."""
-        discs = [None if np.isnan(p).any() else p.tolist() for p in self.reference_discs_px]
+        further = [target.to_dict() for target in self.further]
         return {
             "board": [
                 self.board.columns + 1,
@@ -69,28 +80,29 @@ class CalibratedSite:
             "corners_mm": self.corners_mm.tolist(),
             "lens": {"model": self.lens.model, "parameters": self.lens.parameters.tolist()},
             "reference_pose": _pose_to_dict(self.reference_pose),
-            "reference_discs_px": discs,
+            "reference_discs_px": points_to_json(self.reference_discs_px),
             "B": self.B.tolist(),
             "model": _model_to_dict(self.model),
             "posterior": self.posterior.to_dict(),
             "levels": {name: getattr(self.baseline, name) for name in Baseline.__slots__},
+            **({"further": further} if further else {}),
         }
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> CalibratedSite:
         """Read what `to_dict` gave. Raises KeyError or ValueError on anything else."""
         squares_x, squares_y, square_mm = data["board"]
-        discs = [[np.nan, np.nan] if p is None else p for p in data["reference_discs_px"]]
         return cls(
             Board.of_squares(int(squares_x), int(squares_y), square_mm),
             np.array(data["corners_mm"]),
             _lens_from_dict(data["lens"]),
             _pose_from_dict(data["reference_pose"]),
-            np.array(discs, dtype=float),
+            points_from_json(data["reference_discs_px"]),
             np.array(data["B"]),
             _model_from_dict(data["model"]),
             Posterior.from_dict(data["posterior"]),
             Baseline(**data["levels"]),
+            tuple(CalibratedTarget.from_dict(target) for target in data.get("further", ())),
         )
 
 

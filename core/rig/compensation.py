@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,17 @@ from core.discs.disc_finder import MIN_DISCS, Discs
 from core.errors import TargetNotFoundError
 from core.results import Displacement, RigMotion
 from core.rig.calibrated_site import CalibratedSite
-from core.rig.propagation import DISC_FLOOR_PX, predict_shift, shift_sensitivities
+from core.rig.calibrated_target import CalibratedTarget
+from core.rig.propagation import (
+    DISC_FLOOR_PX,
+    DiscCombination,
+    block_diagonal,
+    mean_of,
+    predict_shift_of,
+    shift_sensitivities,
+    turn_and_scale_of,
+    turned_B,
+)
 from core.rig.rigid import motion_by_pose
 
 AFFINE_LIMIT_PX = 1.0
@@ -64,16 +75,55 @@ class CommonShift:
     """rms of the discs about their common shift."""
 
 
-def choose_discs(calibrated: CalibratedSite, discs: Discs) -> IntArray:
+@dataclass(frozen=True, slots=True)
+class SeenTarget:
+    """A calibrated target, and its discs in an image."""
+
+    target: CalibratedTarget
+    discs: Discs
+
+
+@dataclass(frozen=True, slots=True)
+class Shifts:
+    """How far targets are from where the rig's motion alone would put them."""
+
+    targets: tuple[CalibratedTarget, ...]
+    common: tuple[CommonShift, ...]
+    rows: tuple[slice, ...]
+    """Of the values below, for each target: mean shift (2, px) and, for a fixed one, its own turn
+    (rad) and relative change of scale."""
+    values: FloatArray
+    """(m,)."""
+    covariance: FloatArray
+    """(m, m) from the pixels and the calibration."""
+    shared: FloatArray
+    """(m, m) the part of it that is the same in every frame."""
+    B: tuple[FloatArray, ...]
+    """(2, 2) px/mm of each target, as the camera is turned now."""
+
+    @property
+    def to_mm(self) -> FloatArray:
+        """(m, m) that brings the shifts to mm, by inv(B~) of each."""
+        whole = np.eye(len(self.values))
+        for B, rows in zip(self.B, self.rows, strict=True):
+            shift = slice(rows.start, rows.start + 2)
+            whole[shift, shift] = np.linalg.inv(B)
+        return whole
+
+
+def choose_discs(target: CalibratedTarget, discs: Discs) -> IntArray:
     """Indices of the discs to use: seen in the reference too, the clean ones if three are.
 
     Raises TargetNotFoundError if fewer than three are left.
     """
-    common = discs.found & np.isfinite(calibrated.reference_discs_px).all(axis=1)
+    common = discs.found & np.isfinite(target.reference_px).all(axis=1)
     clean = common & (discs.explained_fraction > discs.explained_fraction.max() - _CLEAN_MARGIN)
     chosen = clean if clean.sum() >= MIN_DISCS else common
     if chosen.sum() < MIN_DISCS:
-        msg = f"main target: {int(chosen.sum())} of the reference's discs found, 3 are needed"
+        msg = (
+            f"{target.name} target: {int(chosen.sum())} of the reference's discs found, "
+            f"{MIN_DISCS} are needed"
+        )
         raise TargetNotFoundError(msg)
     return np.nonzero(chosen)[0]
 
@@ -90,69 +140,109 @@ def _common_shift(miss_px: FloatArray, which: IntArray) -> tuple[FloatArray, Com
     return mean, CommonShift(which, weights, float(np.sqrt(weights @ squares)))
 
 
-def raw_displacement(calibrated: CalibratedSite, discs: Discs) -> tuple[Displacement, CommonShift]:
-    """Displacement by the main camera alone: inv(B~) of the discs' common shift."""
-    which = choose_discs(calibrated, discs)
-    miss = discs.points_px[which] - calibrated.reference_discs_px[which]
+def raw_displacement(
+    calibrated: CalibratedSite, seen: SeenTarget
+) -> tuple[Displacement, CommonShift]:
+    """Displacement by the main camera alone: inv(B~) of the discs' common shift.
+
+    Raises TargetNotFoundError if fewer than three discs are seen here and in the reference.
+    """
+    target, discs = seen.target, seen.discs
+    which = choose_discs(target, discs)
+    miss = discs.points_px[which] - target.reference_px[which]
     mean, shift = _common_shift(miss, which)
-    reference_px2 = _reference_noise(calibrated, shift)
-    return _displacement(
-        calibrated, mean, _disc_noise(discs, shift, reference_px2) + reference_px2, reference_px2
+    reference_px2 = _reference_noise(calibrated, target, shift)
+    own_px2 = _disc_noise(discs, shift, reference_px2, mean_of(shift.weights))
+    covariance_px2 = own_px2 + reference_px2
+    to_mm = np.linalg.inv(target.B)
+    return Displacement(
+        to_mm @ mean, to_mm @ covariance_px2 @ to_mm.T, to_mm @ reference_px2 @ to_mm.T
     ), shift
 
 
-def _disc_noise(discs: Discs, shift: CommonShift, reference_px2: FloatArray) -> FloatArray:
-    """Covariance (2, 2) px^2 of the common shift from this image: as predicted, or as they scatter.
+def _disc_noise(
+    discs: Discs, shift: CommonShift, reference_px2: FloatArray, sums: FloatArray
+) -> FloatArray:
+    """Covariance (m, m) of sums over the discs from this image: as predicted, or as they scatter.
 
     What the reference's noise makes them scatter does not count.
     """
     each = discs.covariance_px2[shift.which] + DISC_FLOOR_PX**2 * np.eye(2)
     predicted = np.einsum("k,kab->ab", shift.weights**2, each)
     spread = shift.residual_px**2 / max(len(shift.which) - 1, 1)
-    excess = spread - np.trace(predicted + reference_px2) / 2.0
-    return np.asarray(predicted + max(0.0, excess) * np.eye(2))
+    excess = max(0.0, float(spread - np.trace(predicted + reference_px2) / 2.0))
+    each = each + excess / (shift.weights @ shift.weights) * np.eye(2)
+    return np.asarray(np.einsum("mka,kab,lkb->ml", sums, each, sums))
 
 
-def _reference_noise(calibrated: CalibratedSite, shift: CommonShift) -> FloatArray:
+def _reference_noise(
+    calibrated: CalibratedSite, target: CalibratedTarget, shift: CommonShift
+) -> FloatArray:
     """Covariance (2, 2) px^2 of the common shift from the discs' places in the reference."""
+    if target.role is not None:
+        return np.asarray(shift.weights**2 @ target.reference_px2[shift.which] * np.eye(2))
     factor = np.einsum("k,kar->ar", shift.weights, calibrated.posterior.discs[shift.which])
     return np.asarray(factor @ factor.T)
 
 
-def _displacement(
-    calibrated: CalibratedSite,
-    shift_px: FloatArray,
-    covariance_px2: FloatArray,
-    shared_px2: FloatArray,
-) -> Displacement:
-    to_mm = np.linalg.inv(calibrated.B)
-    return Displacement(
-        to_mm @ shift_px, to_mm @ covariance_px2 @ to_mm.T, to_mm @ shared_px2 @ to_mm.T
+def remaining_shifts(
+    calibrated: CalibratedSite, seen: Sequence[SeenTarget], board: BoardPose, view: BoardView
+) -> Shifts:
+    """Shifts of the targets with the false shift removed, u_j - u_false_j of Eq. 20.
+
+    Their covariance comes from the discs, from this frame's pose, and from the calibration, whose
+    lens, board and reference have largely the same effect on all frames and on all targets.
+    Raises TargetNotFoundError if fewer than three discs of one are seen.
+    """
+    motion = board.pose.compose(calibrated.reference_pose.inverse())
+    commons, combinations, noises, values = [], [], [], []
+    for one in seen:
+        target, discs = one.target, one.discs
+        which = choose_discs(target, discs)
+        prediction = predict_shift_of(calibrated, target, which, motion)
+        miss = discs.points_px[which] - target.reference_px[which] - prediction.shift_px
+        common = _common_shift(miss, which)[1]
+        sums = mean_of(common.weights)
+        if target.is_fixed:
+            turn = turn_and_scale_of(common.weights, target.reference_px[which])
+            sums = np.concatenate([sums, turn])
+        combination = DiscCombination(target, which, sums, prediction)
+        reference_px2 = _reference_noise(calibrated, target, common)
+        commons.append(common)
+        combinations.append(combination)
+        values.append(combination.of(miss))
+        noises.append(_disc_noise(discs, common, reference_px2, sums))
+    root = view.whitening() * np.sqrt(board.weights)[:, None, None]
+    sensitivities, by_pose = shift_sensitivities(calibrated, combinations, board.pose, view, root)
+    shared = sensitivities.covariance(calibrated.posterior)
+    own = block_diagonal(noises) + by_pose @ board.covariance @ by_pose.T
+    ends = np.cumsum([len(value) for value in values]).tolist()
+    rows = tuple(slice(end - len(value), end) for end, value in zip(ends, values, strict=True))
+    targets = tuple(one.target for one in seen)
+    return Shifts(
+        targets,
+        tuple(commons),
+        rows,
+        np.concatenate(values),
+        own + shared,
+        shared,
+        tuple(turned_B(calibrated, target, motion) for target in targets),
     )
 
 
 def corrected_displacement(
     calibrated: CalibratedSite, discs: Discs, board: BoardPose, view: BoardView
 ) -> tuple[Displacement, CommonShift]:
-    """Displacement with the false shift removed, Eq. 20: inv(B~) (u_j - u_false_j).
+    """Displacement of the main target without the false shift, Eq. 20: inv(B~) (u_j - u_false_j).
 
-    Its covariance comes from the discs, from this frame's pose, and from the calibration, whose
-    lens, board and reference have largely the same effect on all frames and so cancel.
+    By the pixels and the calibration alone. Raises TargetNotFoundError.
     """
-    which = choose_discs(calibrated, discs)
-    reference_px = calibrated.reference_discs_px[which]
-    motion = board.pose.compose(calibrated.reference_pose.inverse())
-    prediction = predict_shift(calibrated.model, reference_px, motion)
-    miss = discs.points_px[which] - reference_px - prediction.shift_px
-    mean, shift = _common_shift(miss, which)
-    root = view.whitening() * np.sqrt(board.weights)[:, None, None]
-    sensitivities, by_pose = shift_sensitivities(
-        calibrated, prediction, which, shift.weights, board.pose, view, root
+    seen = [SeenTarget(calibrated.main_target, discs)]
+    shifts = remaining_shifts(calibrated, seen, board, view)
+    to_mm = shifts.to_mm
+    displacement = Displacement(
+        to_mm @ shifts.values,
+        to_mm @ shifts.covariance @ to_mm.T,
+        to_mm @ shifts.shared @ to_mm.T,
     )
-    calibration_px2 = sensitivities.covariance(calibrated.posterior)
-    covariance_px2 = (
-        _disc_noise(discs, shift, _reference_noise(calibrated, shift))
-        + by_pose @ board.covariance @ by_pose.T
-        + calibration_px2
-    )
-    return _displacement(calibrated, mean, covariance_px2, calibration_px2), shift
+    return displacement, shifts.common[0]

@@ -19,6 +19,7 @@ from core.errors import CalibrationError, ImageError
 from core.images import GreyImage, require_size
 from core.site import CameraGeometry, Site
 from daemon.config.reading import Config
+from daemon.slots.measuring import row_moment
 from daemon.store.database import Store
 from daemon.store.records import CalibrationRecord
 from daemon.version import VERSION
@@ -116,6 +117,7 @@ def _view(frames: FrameSet, row: FrameSetRow, site: Site) -> CalibrationView:
         role=ViewRole(row.role),
         main=_image(frames, row.main, site.main),
         sub=sub,
+        moment=row_moment(row),
     )
 
 

@@ -27,7 +27,14 @@ from daemon.commands.output_files import opened_table
 from daemon.config.reading import Config
 from daemon.errors import DatabaseMissingError, UsageError, WorkFailedError
 from daemon.reports.table import write_results
-from daemon.slots.measuring import ActiveCalibration, PairFiles, load_pairs, measure, read_pair
+from daemon.slots.measuring import (
+    ActiveCalibration,
+    PairFiles,
+    load_pairs,
+    measure,
+    read_pair,
+    row_moment,
+)
 from daemon.slots.row_history import RowHistory
 from daemon.store.database import NEVER, open_store_readonly
 from daemon.store.frames.archive import FrameArchive
@@ -160,7 +167,7 @@ def jobs_kept(
 
 def _files(frames: FrameSet, row: FrameSetRow) -> PairFiles:
     main, sub = (frames.directory / name if name else None for name in (row.main, row.sub))
-    return PairFiles(main, sub, _skew_s(row))
+    return PairFiles(main, sub, _skew_s(row), row_moment(row))
 
 
 def _measure_files(

@@ -143,7 +143,7 @@ class ExtraTargetSection(CirclesSection):
     name: str = Field(pattern=r"^[a-z0-9][a-z0-9-]{0,31}$")
     role: Literal["fixed", "measured"]
     position_px: Pair | None = None
-    stable_mm: float = Field(default=0.05, gt=0, le=100.0)
+    stable_mm: float = Field(default=0.0, ge=0, le=100.0)
 
     def extra_target(self) -> ExtraTarget:
         """Convert to the core's type."""

@@ -16,12 +16,13 @@ from core.measurement import look_at_pair, measure_pair
 from core.quality.burst import combine
 from core.quality.verdicts import flag_of
 from core.results import Flag, Measurement, Reason
+from core.rig.stability import Moment
 from core.site import CameraGeometry, Site
 from daemon.store.database import Store
 from daemon.store.frames.archive import ArchivedPair, FrameArchive
 from daemon.times import slot_text
 from drivers.errors import FrameSetError, ImageMissingError
-from drivers.frameset import read_image
+from drivers.frameset import FrameSetRow, read_image
 from drivers.protocols import CapturedPair, Role
 
 _log = structlog.get_logger("dcam.daemon")
@@ -47,6 +48,8 @@ class ImagePair:
     """None means no image: not there, or there and `unreadable`."""
     skew_s: float | None = None
     unreadable: frozenset[Role] = frozenset()
+    moment: Moment | None = None
+    """When it was taken, and how warm the main camera was."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +59,7 @@ class PairFiles:
     main: Path | None
     sub: Path | None
     skew_s: float | None = None
+    moment: Moment | None = None
 
 
 def active_calibration(store: Store) -> ActiveCalibration | None:
@@ -77,10 +81,16 @@ def measure(
     return combine([_measure_one(pair, site, calibration) for pair in pairs])
 
 
-def image_pair(pair: CapturedPair) -> ImagePair:
-    """What the cameras gave."""
+def image_pair(pair: CapturedPair, slot_utc: datetime) -> ImagePair:
+    """What the cameras gave for a slot."""
     main, sub = (GreyImage(frame.pixels, frame.bits) for frame in (pair.main, pair.sub))
-    return ImagePair(main, sub, pair.skew_s)
+    warm = temperature_of_pair(pair.main.temperature_c, pair.sub.temperature_c)
+    return ImagePair(main, sub, pair.skew_s, moment=Moment(slot_utc.timestamp(), warm))
+
+
+def temperature_of_pair(main_c: float | None, sub_c: float | None) -> float | None:
+    """The temperature that stands for the rig's: the main camera's, or else the sub-camera's."""
+    return sub_c if main_c is None else main_c
 
 
 def read_pair(files: PairFiles, site: Site) -> ImagePair:
@@ -97,7 +107,15 @@ def read_pair(files: PairFiles, site: Site) -> ImagePair:
         except FrameSetError as error:
             _log.warning("image_unreadable", error=str(error))
             unreadable.add(role)
-    return ImagePair(images["main"], images["sub"], files.skew_s, frozenset(unreadable))
+    return ImagePair(
+        images["main"], images["sub"], files.skew_s, frozenset(unreadable), files.moment
+    )
+
+
+def row_moment(row: FrameSetRow) -> Moment:
+    """When a row of a frame set was taken, and how warm the rig was."""
+    warm = temperature_of_pair(row.main_temperature_c, row.sub_temperature_c)
+    return Moment(row.slot_utc.timestamp(), warm)
 
 
 def load_pairs(
@@ -118,7 +136,11 @@ def load_pairs(
             pairs.append(ImagePair(None, None, unreadable=frozenset({"main", "sub"})))
             continue
         first = first or stored
-        pairs.append(ImagePair(stored.main, stored.sub, stored.skew_s))
+        warm = temperature_of_pair(
+            stored.main_camera.temperature_c, stored.sub_camera.temperature_c
+        )
+        moment = Moment(slot_utc.timestamp(), warm)
+        pairs.append(ImagePair(stored.main, stored.sub, stored.skew_s, moment=moment))
     return pairs, first
 
 
@@ -146,7 +168,7 @@ def _measure_one(pair: ImagePair, site: Site, calibration: ActiveCalibration | N
             measurement = look_at_pair(pair.main, pair.sub, site)
         else:
             given = calibration.calibration
-            measurement = measure_pair(pair.main, pair.sub, site, given, pair.skew_s)
+            measurement = measure_pair(pair.main, pair.sub, site, given, pair.skew_s, pair.moment)
     except Exception:  # noqa: BLE001 - a fault of ours costs this value, not the row
         _log.exception("measurement_broke")
         return _bad(Reason.INTERNAL_ERROR)

@@ -154,7 +154,7 @@ def _measure_captured(
     stored: StoredPair | None,
     calibration: ActiveCalibration | None,
 ) -> MeasurementRecord:
-    pairs = [image_pair(shot.pair) for shot in shots]
+    pairs = [image_pair(shot.pair, slot_utc) for shot in shots]
     first = shots[0].pair
     return MeasurementRecord(
         slot_utc=slot_utc,

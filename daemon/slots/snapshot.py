@@ -47,7 +47,9 @@ def measure_look(
 
     Raises StoreError.
     """
-    measurement = measure((image_pair(shot.pair) for shot in shots), site, calibration)
+    measurement = measure(
+        (image_pair(shot.pair, shot.captured_utc) for shot in shots), site, calibration
+    )
     if store is None:
         return measurement
     return judge_in_history(store, calibration, site.quality, slot_utc, measurement)

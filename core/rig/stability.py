@@ -1,0 +1,132 @@
+"""What may have changed since the calibration and no image noise shows: the stability budget.
+
+Whatever the two cameras do not share is taken for displacement. To first order all of it is a
+common shift of the main image, a roll and a change of scale, and, for the air, a shift in
+proportion to the distance. Its 1-sigma follows from the time and the temperature since the
+reference; docs/method.md has the figures and their sources.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from core.arrays import FloatArray
+from core.rig.calibrated_target import CalibratedTarget
+from core.site import Site
+
+STATE = 6
+"""Shift of the main image (2, px), its roll (rad), relative change of scale, and the air's shift
+at the main target (2, px)."""
+_DAY_S = 86_400.0
+"""A day, s."""
+_SETTLED_S = 6 * 3600.0
+"""Time in which temperatures that no camera tells, and the air's gradient, may have left what they
+were at the calibration. Chosen: a quarter of the daily wave; steel lags the air by hours."""
+_DN_DT_PER_K = 9.3e-7
+"""Of air at visible light, 15 degrees C and 1013 hPa, with its sign changed (Edlen's equation:
+n - 1 = 2.77e-4, falling with 1/T)."""
+_HORIZONTAL_SHARE = 0.3
+"""Of the air's gradient sideways. Chosen: air lies in layers; beside a warm wall it may be more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """When a pair was taken, and how warm the main camera was."""
+
+    utc_s: float
+    """Seconds since 1970."""
+    temperature_c: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give plain JSON types."""
+        return {"utc_s": self.utc_s, "temperature_c": self.temperature_c}
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Moment:
+        """Read what `to_dict` gave. Raises KeyError, TypeError or ValueError on anything else."""
+        celsius = data["temperature_c"]
+        return cls(float(data["utc_s"]), None if celsius is None else float(celsius))
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One cause of change."""
+
+    name: str
+    """In words, as the end of "... come from"."""
+    covariance: FloatArray
+    """(6, 6) of the state."""
+
+
+def main_scale(B: FloatArray) -> float:
+    """px/mm of a target by its B~: the largest singular value, along which it is not tilted."""
+    return float(np.linalg.svd(B, compute_uv=False)[0])
+
+
+def stability_terms(
+    site: Site, scale_px_per_mm: float, reference: Moment, now: Moment
+) -> tuple[Term, ...]:
+    """What may have changed from one moment to another, cause by cause.
+
+    scale_px_per_mm is the main camera's at the main target.
+    """
+    budget, focal_px = site.stability, scale_px_per_mm * site.main_target.distance_mm
+    age_s = abs(now.utc_s - reference.utc_s)
+    days = age_s / _DAY_S
+    settled = 1.0 - float(np.exp(-((age_s / _SETTLED_S) ** 2)))
+    if now.temperature_c is None or reference.temperature_c is None:
+        kelvin = budget.temperature_range_k * settled
+    else:
+        kelvin = now.temperature_c - reference.temperature_c
+    warmed = f"{abs(kelvin):.1f} K"
+
+    def turns(urad_per_k: float, urad_per_sqrt_day: float) -> tuple[float, float]:
+        return (1e-6 * urad_per_k * kelvin) ** 2, 1e-12 * urad_per_sqrt_day**2 * days
+
+    def of_turn(rad2: float) -> FloatArray:
+        return np.diag([focal_px**2 * rad2, focal_px**2 * rad2, rad2, 0.0, 0.0, 0.0])
+
+    cameras_k, cameras_d = turns(budget.cameras_urad_per_k, budget.cameras_urad_per_sqrt_day)
+    board_k, board_d = turns(budget.board_urad_per_k, budget.board_urad_per_sqrt_day)
+    half_board_mm = 0.5 * site.sub_target.square_mm * site.sub_target.squares_x
+    slide_px = budget.board_expansion_per_k * kelvin * half_board_mm * scale_px_per_mm
+    lens_px, lens_scale = budget.main_px_per_k * kelvin, budget.main_scale_per_k * kelvin
+    metres = 1e-3 * site.main_target.distance_mm
+    air_mm = 1e3 * 0.5 * _DN_DT_PER_K * budget.air_gradient_k_per_m * metres**2 * settled
+    air_px2 = (air_mm * scale_px_per_mm) ** 2
+    zero = np.zeros(STATE)
+    return (
+        Term(f"the cameras turning against each other over {warmed}", of_turn(cameras_k)),
+        Term(f"the cameras turning against each other in {days:.0f} days", of_turn(cameras_d)),
+        Term(f"the board turning on the pier over {warmed}", of_turn(board_k)),
+        Term(f"the board turning on the pier in {days:.0f} days", of_turn(board_d)),
+        Term(
+            f"the board expanding over {warmed}",
+            np.diag([slide_px**2, slide_px**2, *zero[2:]]),
+        ),
+        Term(
+            f"the main lens warming by {warmed}",
+            np.diag([lens_px**2, lens_px**2, 0.0, lens_scale**2, 0.0, 0.0]),
+        ),
+        Term(
+            "the air's temperature gradient",
+            np.diag([*zero[:4], _HORIZONTAL_SHARE**2 * air_px2, air_px2]),
+        ),
+    )
+
+
+def state_effects(
+    target: CalibratedTarget, centre_px: FloatArray, main_distance_mm: float
+) -> FloatArray:
+    """(4, 6): how a target's mean shift (px), turn (rad) and change of scale follow the state."""
+    x, y = target.middle_px - centre_px
+    effects = np.zeros((4, STATE))
+    effects[:2, :2] = np.eye(2)
+    effects[:2, 2] = -y, x
+    effects[:2, 3] = x, y
+    effects[:2, 4:] = np.eye(2) * target.distance_mm / main_distance_mm
+    effects[2, 2] = effects[3, 3] = 1.0
+    return effects
