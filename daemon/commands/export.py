@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import nullcontext
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -19,8 +19,10 @@ from daemon.commands.options import (
 from daemon.commands.output import note, progress
 from daemon.commands.output_files import new_file, opened_table
 from daemon.errors import UsageError
-from daemon.store.columns import Columns
 from daemon.store.database import ALWAYS, NEVER, open_store_readonly
+
+if TYPE_CHECKING:
+    from daemon.reports.slot_table import SlotTable
 
 
 @click.command(
@@ -69,9 +71,7 @@ def command(
         note(f"{count} rows written to {output}")
 
 
-def _write_file(
-    file_format: str, slots: Iterator[Columns], output: Path | None, options: Options
-) -> int:
+def _write_file(file_format: str, slots: SlotTable, output: Path | None, options: Options) -> int:
     if output is None:
         msg = f"--format {file_format} writes a file: give --output FILE"
         raise UsageError(msg)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -106,7 +106,8 @@ def command(
         for slot_utc, measure in jobs:
             results.append((slot_utc, sequence.judge(slot_utc, measure())))
             steps.next()
-    tell(results, calibration.id, output, as_json=as_json)
+    targets = [extra.name for extra in site.extra_targets]
+    tell(results, calibration.id, output, targets, as_json=as_json)
 
 
 def chosen_calibration(
@@ -192,13 +193,18 @@ def _skew_s(row: FrameSetRow) -> float | None:
 
 
 def tell(
-    results: list[Result], calibration_id: int | None, output: Path | None, *, as_json: bool
+    results: list[Result],
+    calibration_id: int | None,
+    output: Path | None,
+    targets: Sequence[str],
+    *,
+    as_json: bool,
 ) -> None:
     """Write the table and a summary of the flags; with `--json` the rows on stdout."""
     if output is not None or not as_json:
         with opened_table(output) as table:
             bursts = any(measurement.spread_mm is not None for _, measurement in results)
-            write_results(results, table, bursts=bursts)
+            write_results(results, table, targets=targets, bursts=bursts)
     if as_json:
         rows = [result_fields(slot_utc, measurement) for slot_utc, measurement in results]
         print_json(

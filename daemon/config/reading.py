@@ -34,6 +34,9 @@ DEFAULT_CONFIG_PATH = Path("/etc/dcam/dcam.toml")
 MOST_BYTES = 1_000_000
 """A hundred times the longest config with all its comments."""
 
+_TAKEN_NAMES = frozenset({"main", "sub", "raw", "sigma", "closure", "spread", "reading"})
+"""No further target's: the columns of its name would be others' columns."""
+
 
 def load_config(path: Path) -> Config:
     """Read and check a config file. Raises ConfigError with one line for each problem."""
@@ -84,7 +87,7 @@ def _contradictions(config: Config) -> list[str]:
             )
     names = [target.name for target in extra]
     for number, name in enumerate(names):
-        if name in {*names[:number], "main", "sub"}:
+        if name in {*names[:number], *_TAKEN_NAMES}:
             problems.append(f'target.extra[{number}].name: "{name}" is taken; give another name')
     schedule = config.schedule
     if schedule.offset_s >= schedule.period_s:

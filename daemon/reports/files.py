@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Iterable
 from pathlib import Path
 
-from daemon.reports.slot_table import COLUMNS, kind_of_column
-from daemon.store.columns import Columns
+from daemon.reports.slot_table import SlotTable, kind_of_column
 from drivers.errors import MissingLibraryError
 
 
-def write_parquet(slots: Iterable[Columns], path: Path) -> int:
+def write_parquet(slots: SlotTable, path: Path) -> int:
     """Write a Parquet file with the columns of the CSV, times as UTC timestamps.
 
     Gives the number of rows. Raises MissingLibraryError, OSError.
@@ -27,10 +25,10 @@ def write_parquet(slots: Iterable[Columns], path: Path) -> int:
         "truth": pa.bool_(),
         "text": pa.string(),
     }
-    schema = pa.schema([(name, types[kind_of_column(name)]) for name in COLUMNS])
+    schema = pa.schema([(name, types[kind_of_column(name)]) for name in slots.columns])
     count = 0
     with pq.ParquetWriter(path, schema) as file:
-        for batch in slots:
+        for batch in slots.batches:
             columns = []
             for field in schema:
                 values = batch.values[field.name]

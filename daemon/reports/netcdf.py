@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,10 @@ import numpy.typing as npt
 
 from core.results import Flag
 from daemon.reports.files import require_library
-from daemon.reports.slot_table import COLUMNS, kind_of_column
+from daemon.reports.slot_table import SlotTable, kind_of_column
 from daemon.store import column_meanings
-from daemon.store.columns import BATCH, Columns
+from daemon.store.columns import BATCH
+from daemon.store.targets import target_of_column
 from daemon.times import utc_array
 from daemon.version import VERSION
 
@@ -29,7 +30,7 @@ _NO_INTEGER, _NO_BYTE = -2147483647, -127
 """What stands for no value, as the NetCDF library itself has it."""
 
 
-def write_netcdf(slots: Iterable[Columns], path: Path, site: str) -> int:
+def write_netcdf(slots: SlotTable, path: Path, site: str) -> int:
     """Write a CF `timeSeries`: one station, its slots, flags with their meanings.
 
     Gives the number of rows. Raises MissingLibraryError, OSError.
@@ -40,8 +41,8 @@ def write_netcdf(slots: Iterable[Columns], path: Path, site: str) -> int:
     count = 0
     with h5netcdf.File(path, "w") as file:
         _describe(file, site)
-        variables = {name: _variable(file, name) for name in COLUMNS}
-        for batch in slots:
+        variables = {name: _variable(file, name) for name in slots.columns}
+        for batch in slots.batches:
             part = slice(count, count + len(batch))
             file.resize_dimension("time", part.stop)
             for name, variable in variables.items():
@@ -65,13 +66,14 @@ def _describe(file: Any, site: str) -> None:
 def _variable(file: Any, name: str) -> Any:
     """A variable over the slots, empty; the slots themselves are the coordinate `time`."""
     kind, meaning = kind_of_column(name), column_meanings.of(name)
+    _, key = _split(name)
     if name == "slot_utc":
         variable = _create(file, "time", np.float64)
         variable.attrs["standard_name"], variable.attrs["axis"] = "time", "T"
     elif name == COVARIANCE:
         variable = _create(file, name, np.float64, ("time", "covariance"), np.nan)
-    elif name == "flag":
-        variable = _create(file, name, np.int8)
+    elif key == "flag":
+        variable = _create(file, name, np.int8, fill=None if name == key else _NO_BYTE)
         variable.attrs["standard_name"] = "quality_flag"
         variable.attrs["flag_values"] = np.array(FLAGS, dtype=np.int8)
         variable.attrs["flag_meanings"] = " ".join(flag.name.lower() for flag in FLAGS)
@@ -91,16 +93,23 @@ def _variable(file: Any, name: str) -> Any:
 
 def _annotate(variable: Any, name: str, meaning: column_meanings.Meaning) -> None:
     variable.attrs["long_name"] = meaning.text
-    kind = kind_of_column(name)
+    kind, (prefix, key) = kind_of_column(name), _split(name)
     if kind == "time":
         variable.attrs["units"], variable.attrs["calendar"] = TIME_UNITS, "standard"
-    elif kind in {"real", "whole"} and name != "flag":
+    elif kind in {"real", "whole"} and key != "flag":
         variable.attrs["units"] = "1" if meaning.unit in UNITLESS else meaning.unit
     if name != "slot_utc":
         variable.attrs["coordinates"] = "station"
-    if name in {"x_mm", "y_mm", "raw_x_mm", "raw_y_mm"}:
-        sigma = name.replace("x_mm", "sigma_x_mm").replace("y_mm", "sigma_y_mm")
-        variable.attrs["ancillary_variables"] = f"flag reasons {sigma}"
+    if key in {"x_mm", "y_mm", "raw_x_mm", "raw_y_mm"}:
+        sigma = key.replace("x_mm", "sigma_x_mm").replace("y_mm", "sigma_y_mm")
+        others = [prefix + other for other in ("flag", "reasons", sigma)]
+        variable.attrs["ancillary_variables"] = " ".join(others)
+
+
+def _split(name: str) -> tuple[str, str]:
+    """Of a further target's column what stands before its key, and the key."""
+    target = None if name in column_meanings.MEANINGS else target_of_column(name)
+    return ("", name) if target is None else (f"{target[0]}_", target[1])
 
 
 def _create(
@@ -140,5 +149,6 @@ def _stored(name: str, values: Sequence[Any]) -> npt.NDArray[Any]:
         return (utc_array(values) - np.datetime64(0, "us")) / np.timedelta64(1, "s")
     if kind == "real":
         return np.array(values, dtype=np.float64)
-    missing, dtype = (_NO_BYTE, np.int8) if kind == "truth" else (_NO_INTEGER, np.int32)
+    is_byte = kind == "truth" or _split(name)[1] == "flag"
+    missing, dtype = (_NO_BYTE, np.int8) if is_byte else (_NO_INTEGER, np.int32)
     return np.array([missing if value is None else value for value in values], dtype=dtype)

@@ -4,42 +4,72 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from heapq import merge
 from typing import Any
 
 from core.results import Flag
 from daemon.store.checksum import DIGEST
-from daemon.store.columns import BATCH, Columns, Tell, read_columns
+from daemon.store.columns import BATCH, Columns, Tell, read_columns, target_names
 from daemon.store.convert import RESULT_COLUMNS
 from daemon.store.database import Store
 from daemon.store.records import GapRecord
 from daemon.store.runs import next_second, run_between, slot_at, unix_s
 from daemon.store.schema import Kind, MeasurementRow, kind_of
+from daemon.store.targets import (
+    TARGET_COLUMNS,
+    columns_of_target,
+    stored_targets,
+    target_of_column,
+)
 from daemon.times import slot_text
 
 DETAIL = "detail"
 """The last column: what is known of a gap beyond its cause."""
 
+TARGETS = "targets"
+"""The column of the database that becomes columns of each further target."""
+
 EXTRA_COLUMNS = tuple(
     column.name
     for column in MeasurementRow.__table__.columns
-    if column.name not in {"id", DIGEST, *RESULT_COLUMNS}
+    if column.name not in {"id", DIGEST, TARGETS, *RESULT_COLUMNS}
 )
 """What `export` adds to the columns of `reprocess`, in the order of the database."""
 
 COLUMNS = (*RESULT_COLUMNS, *EXTRA_COLUMNS, DETAIL)
+"""Of a site without further targets; those of a target come before the last one."""
 
 Missed = tuple[str, str, str]
 """A slot in a gap: slot, cause, detail."""
 
 
-def slot_table(store: Store, since: datetime, until: datetime, tell: Tell) -> Iterator[Columns]:
+@dataclass(frozen=True, slots=True)
+class SlotTable:
+    """A table of slots, read as it is written."""
+
+    columns: tuple[str, ...]
+    batches: Iterator[Columns]
+    """Many slots at a time, each with all columns."""
+
+
+def slot_table(store: Store, since: datetime, until: datetime, tell: Tell) -> SlotTable:
     """Slots with since <= slot < until, in order: rows, and those in gaps with flag 9.
 
-    Of a slot in a gap the reasons are the gap's cause. Raises StoreError; DatabaseDamagedError
+    Of a slot in a gap the reasons are the gap's cause. Further targets have the names that the
+    rows give them. Raises StoreError; DatabaseDamagedError, at the latest as the batches are read,
     names the first row that is not what was written.
     """
+    targets = target_names(store.path, since, until)
+    columns = (column for name in targets for column in columns_of_target(name, TARGET_COLUMNS))
+    batches = _batches(store, since, until, tell, targets)
+    return SlotTable((*COLUMNS[:-1], *columns, DETAIL), batches)
+
+
+def _batches(
+    store: Store, since: datetime, until: datetime, tell: Tell, targets: Sequence[str]
+) -> Iterator[Columns]:
     limits = range(*(unix_s(next_second(time)) for time in (since, until)))
     missed = _MissedSlots(store.gaps(since, until), limits)
     for rows in read_columns(store.path, since, until, tell):
@@ -48,15 +78,17 @@ def slot_table(store: Store, since: datetime, until: datetime, tell: Tell) -> It
             taken = missed.until(slots[-1])
             # As many as may stand in memory together: more may come before the next row.
             end = bisect_left(slots, taken[-1][0]) if len(taken) == BATCH else len(slots)
-            yield _joined(rows, slice(begin, end), taken)
+            yield _joined(rows, slice(begin, end), taken, targets)
             begin = end
     while taken := missed.until("~"):
-        yield _joined(Columns({"slot_utc": ()}), slice(0), taken)
+        yield _joined(Columns({"slot_utc": ()}), slice(0), taken, targets)
 
 
 def kind_of_column(name: str) -> Kind:
     """What a column of the table holds."""
-    return "text" if name == DETAIL else kind_of(name)
+    target = None if name in COLUMNS else target_of_column(name)
+    key = name if target is None else target[1]
+    return "text" if key in {DETAIL, "role"} else kind_of(key)
 
 
 class _MissedSlots:
@@ -81,7 +113,9 @@ def _slots_of(gap: GapRecord, limits: range) -> Iterator[Missed]:
             yield slot_text(slot_at(unix)), gap.cause.value, gap.detail
 
 
-def _joined(rows: Columns, part: slice, missed: Sequence[Missed]) -> Columns:
+def _joined(
+    rows: Columns, part: slice, missed: Sequence[Missed], targets: Sequence[str]
+) -> Columns:
     """Rows and missed slots as one table in order; where both claim a slot, the row counts."""
     slots = rows.values["slot_utc"][part]
     if missed:
@@ -94,9 +128,24 @@ def _joined(rows: Columns, part: slice, missed: Sequence[Missed]) -> Columns:
     none = [None] * len(missed)
     every = [*slots, *of_gaps.get("slot_utc", ())]
     order = sorted(range(len(every)), key=every.__getitem__) if missed else None
+    measured_columns = {name: rows.values[name][part] for name in COLUMNS if name in rows.values}
+    measured_columns |= _targets(rows.values.get(TARGETS, ())[part], targets)
     table: dict[str, Sequence[Any]] = {}
-    for name in COLUMNS:
-        measured_values = rows.values[name][part] if name in rows.values else [None] * len(slots)
+    for name in dict.fromkeys((*COLUMNS, *measured_columns)):
+        measured_values = measured_columns.get(name, [None] * len(slots))
         values = [*measured_values, *of_gaps.get(name, none)]
         table[name] = values if order is None else [values[place] for place in order]
     return Columns(table)
+
+
+def _targets(texts: Sequence[str | None], names: Sequence[str]) -> dict[str, Sequence[Any]]:
+    """What the rows say of each further target, as columns."""
+    if not names:
+        return {}
+    rows = [{found["name"]: found for found in stored_targets(text)} for text in texts]
+    nothing: dict[str, Any] = {}
+    return {
+        column: [row.get(name, nothing).get(key) for row in rows]
+        for name in names
+        for key, column in zip(TARGET_COLUMNS, columns_of_target(name, TARGET_COLUMNS), strict=True)
+    }

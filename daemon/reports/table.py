@@ -11,10 +11,15 @@ from typing import Any, TextIO
 import numpy as np
 
 from core.results import Measurement
-from daemon.reports.slot_table import COLUMNS, kind_of_column
-from daemon.store.columns import BATCH, Columns
-from daemon.store.convert import BURST_COLUMNS, RESULT_COLUMNS, measurement_columns
-from daemon.store.records import MeasurementRecord
+from daemon.reports.slot_table import SlotTable, kind_of_column
+from daemon.store.columns import BATCH
+from daemon.store.convert import (
+    BURST_COLUMNS,
+    RESULT_COLUMNS,
+    STABILITY_COLUMNS,
+    result_columns,
+)
+from daemon.store.targets import TARGET_RESULT_COLUMNS, columns_of_target, target_values
 from daemon.times import slot_text
 
 DECIMALS = {
@@ -34,31 +39,45 @@ _TRUTHS = {None: "", 0: "false", 1: "true"}
 
 
 def write_results(
-    results: Iterable[tuple[datetime, Measurement]], output: TextIO, *, bursts: bool = False
+    results: Iterable[tuple[datetime, Measurement]],
+    output: TextIO,
+    *,
+    targets: Sequence[str] = (),
+    bursts: bool = False,
 ) -> int:
     """Write slots and what was measured in them; give the number of rows.
 
-    `bursts` appends the columns of slots with several pairs.
+    `targets` are the names of the further targets that get columns; `bursts` appends those of
+    slots with several pairs.
     """
-    names = RESULT_COLUMNS + (BURST_COLUMNS if bursts else ())
-    rows = (
-        measurement_columns(MeasurementRecord(slot_utc, measurement, config_hash="", version=""))
-        | {"slot_utc": slot_text(slot_utc)}
-        for slot_utc, measurement in results
-    )
+    names = [*RESULT_COLUMNS, *STABILITY_COLUMNS]
+    for name in targets:
+        names += columns_of_target(name, TARGET_RESULT_COLUMNS)
+    names += BURST_COLUMNS if bursts else ()
+    rows = (_result_row(slot_utc, measurement) for slot_utc, measurement in results)
     table = _Table(output, names)
     while batch := list(islice(rows, BATCH)):
         table.write({name: [row.get(name) for row in batch] for name in names})
     return table.rows
 
 
-def write_slots(slots: Iterable[Columns], output: TextIO) -> int:
-    """Write every slot of `slot_table` with all its columns; give the number of rows.
+def _result_row(slot_utc: datetime, measurement: Measurement) -> dict[str, Any]:
+    row = result_columns(slot_utc, measurement) | {"slot_utc": slot_text(slot_utc)}
+    for target in measurement.targets:
+        values = target_values(target)
+        keys = [key for key in TARGET_RESULT_COLUMNS if key in values]
+        names = columns_of_target(target.name, keys)
+        row |= zip(names, (values[key] for key in keys), strict=True)
+    return row
+
+
+def write_slots(slots: SlotTable, output: TextIO) -> int:
+    """Write every slot of a table with all its columns; give the number of rows.
 
     Numbers have the digits that `DECIMALS` says; what a slot does not have is empty.
     """
-    table = _Table(output, COLUMNS)
-    for batch in slots:
+    table = _Table(output, slots.columns)
+    for batch in slots.batches:
         table.write(batch.values)
     return table.rows
 

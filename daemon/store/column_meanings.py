@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from daemon.store.targets import target_of_column
+
 
 class Meaning(NamedTuple):
     """One column for its readers."""
@@ -67,13 +69,36 @@ MEANINGS: dict[str, Meaning] = {
     "calibration_id": Meaning("", "number of the calibration that it was measured with"),
     "config_hash": Meaning("", "short hash of the config that it was measured with"),
     "version": Meaning("", "version of dcam that measured"),
+    "sigma_image_x_mm": Meaning(
+        "mm", "part of sigma_x_mm that pixels and calibration give; empty in old rows: all of it"
+    ),
+    "sigma_image_y_mm": Meaning(
+        "mm", "part of sigma_y_mm that pixels and calibration give; empty in old rows: all of it"
+    ),
+    "cov_image_xy_mm2": Meaning("mm2", "part of cov_xy_mm2 that pixels and calibration give"),
+    "closure_x_mm": Meaning("mm", "what the fixed targets together say of the rig's error, x"),
+    "closure_y_mm": Meaning("mm", "what the fixed targets together say of the rig's error, y"),
+    "closure_sigma_x_mm": Meaning("mm", "1 sigma of closure_x_mm"),
+    "closure_sigma_y_mm": Meaning("mm", "1 sigma of closure_y_mm"),
+    "closure_cov_xy_mm2": Meaning("mm2", "covariance of closure_x_mm and closure_y_mm"),
+    "targets": Meaning("", "JSON of the further targets; exported as columns of each"),
     "digest": Meaning("", "checksum of the row; not exported"),
 }
 """By the column's name, in the order of the table."""
 
 DETAIL = Meaning("", "of a slot in a gap, what is known beyond its cause; only in exports")
 
+ROLE = Meaning("", "fixed (does not move with the bridge) or measured (a further point of it)")
+"""Of a further target; only in exports."""
+
 
 def of(column: str) -> Meaning:
     """What a column of the database, or of an export, holds."""
-    return DETAIL if column == "detail" else MEANINGS[column]
+    if column == "detail":
+        return DETAIL
+    target = None if column in MEANINGS else target_of_column(column)
+    if target is None:
+        return MEANINGS[column]
+    name, key = target
+    meaning = ROLE if key == "role" else MEANINGS[key]
+    return Meaning(meaning.unit, f"target {name}: {meaning.text}")

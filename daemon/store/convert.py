@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import fields
 from datetime import datetime
@@ -15,14 +14,19 @@ from core.arrays import FloatArray
 from core.results import (
     CalibrationReport,
     Diagnostics,
-    Displacement,
     Flag,
     Measurement,
-    Reason,
     RigMotion,
 )
 from daemon.errors import DamagedRowError
+from daemon.store.displacements import (
+    corrected_columns,
+    displacement_columns,
+    displacement_of,
+    finite,
+)
 from daemon.store.records import CalibrationRecord, CameraState, MeasurementRecord
+from daemon.store.targets import join_reasons, split_reasons, targets_of, targets_text
 
 if TYPE_CHECKING:  # SQLAlchemy is loaded by who needs its rows
     from daemon.store.schema import CalibrationRow
@@ -33,8 +37,11 @@ RESULT_COLUMNS = (
 )
 """What `reprocess` writes; the interface that scripts rely on."""
 
+STABILITY_COLUMNS = ("sigma_image_x_mm", "sigma_image_y_mm", "closure_x_mm", "closure_y_mm")
+"""What `reprocess` appends to them: sigma without the stability budget, and the closure."""
+
 BURST_COLUMNS = ("spread_x_mm", "spread_y_mm", "frames_used")
-"""What `reprocess` appends where slots have several pairs."""
+"""What `reprocess` writes last where slots have several pairs."""
 
 _UPPER = np.triu_indices(6)
 _DIAGNOSTICS = tuple(field.name for field in fields(Diagnostics))
@@ -58,8 +65,8 @@ def measurement_columns(record: MeasurementRecord) -> dict[str, Any]:
         "slot_utc": record.slot_utc,
         "flag": int(measurement.flag),
         "reasons": join_reasons(measurement.reasons),
-        **_displacement_columns(measurement.corrected, ""),
-        **_displacement_columns(measurement.raw, "raw_"),
+        **corrected_columns(measurement.corrected),
+        **displacement_columns(measurement.raw, "raw_"),
         **_motion_columns(measurement.motion),
         **{name: getattr(diagnostics, name) for name in _DIAGNOSTICS},
         **_spread_columns(measurement.spread_mm),
@@ -78,7 +85,21 @@ def measurement_columns(record: MeasurementRecord) -> dict[str, Any]:
         "calibration_id": record.calibration_id,
         "config_hash": record.config_hash,
         "version": record.version,
+        **displacement_columns(measurement.closure, "closure_"),
+        "targets": targets_text(measurement.targets),
     }
+
+
+def result_columns(slot_utc: datetime, measurement: Measurement) -> dict[str, Any]:
+    """The columns of a measurement that is not in the database; as `measurement_columns`.
+
+    Raises ValueError.
+    """
+    record = MeasurementRecord(slot_utc, measurement, config_hash="", version="")
+    columns = measurement_columns(record)
+    for axis in "xy":
+        columns.setdefault(f"sigma_image_{axis}_mm", columns.get(f"sigma_{axis}_mm"))
+    return columns
 
 
 def measurement_record(values: Mapping[str, Any]) -> MeasurementRecord:
@@ -88,13 +109,15 @@ def measurement_record(values: Mapping[str, Any]) -> MeasurementRecord:
     """
     measurement = Measurement(
         flag=Flag(values["flag"]),
-        reasons=tuple(Reason(word) for word in values["reasons"].split("+") if word),
-        corrected=_displacement(values, ""),
-        raw=_displacement(values, "raw_"),
+        reasons=split_reasons(values["reasons"]),
+        corrected=displacement_of(values),
+        raw=displacement_of(values, "raw_"),
         motion=_motion(values),
         diagnostics=Diagnostics(**{name: values[name] for name in _DIAGNOSTICS}),
         spread_mm=_spread(values),
         frames_used=values["frames_used"],
+        closure=displacement_of(values, "closure_"),
+        targets=targets_of(values["targets"]),
     )
     synchronised = values["clock_synchronised"]
     return MeasurementRecord(
@@ -156,42 +179,14 @@ def calibration_record(row: CalibrationRow) -> CalibrationRecord:
     )
 
 
-def join_reasons(reasons: tuple[Reason, ...]) -> str:
-    """Reasons as one word of a table."""
-    return "+".join(reason.value for reason in reasons)
-
-
 def _json(value: object) -> str:
     return json.dumps(value, allow_nan=False, separators=(",", ":"))
-
-
-def _displacement_columns(displacement: Displacement | None, prefix: str) -> dict[str, float]:
-    if displacement is None:
-        return {}
-    covariance = displacement.covariance_mm2
-    columns = {
-        f"{prefix}x_mm": float(displacement.mm[0]),
-        f"{prefix}y_mm": float(displacement.mm[1]),
-        f"{prefix}sigma_x_mm": math.sqrt(covariance[0, 0]),
-        f"{prefix}sigma_y_mm": math.sqrt(covariance[1, 1]),
-        f"{prefix}cov_xy_mm2": float(covariance[0, 1]),
-    }
-    return _finite(columns)
-
-
-def _displacement(values: Mapping[str, Any], prefix: str) -> Displacement | None:
-    names = ("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm", "cov_xy_mm2")
-    x, y, sigma_x, sigma_y, cov_xy = (values[prefix + name] for name in names)
-    if x is None:
-        return None
-    covariance = np.array([[sigma_x**2, cov_xy], [cov_xy, sigma_y**2]])
-    return Displacement(mm=np.array([x, y]), covariance_mm2=covariance)
 
 
 def _spread_columns(spread_mm: FloatArray | None) -> dict[str, float]:
     if spread_mm is None:
         return {}
-    return _finite({"spread_x_mm": float(spread_mm[0]), "spread_y_mm": float(spread_mm[1])})
+    return finite({"spread_x_mm": float(spread_mm[0]), "spread_y_mm": float(spread_mm[1])})
 
 
 def _spread(values: Mapping[str, Any]) -> FloatArray | None:
@@ -204,17 +199,8 @@ def _motion_columns(motion: RigMotion | None) -> dict[str, Any]:
     if motion is None:
         return {}
     numbers = [*motion.rotation_rad.tolist(), *motion.translation_mm.tolist()]
-    columns = _finite(dict(zip(_MOTION, numbers, strict=True)))
+    columns = finite(dict(zip(_MOTION, numbers, strict=True)))
     return {**columns, "motion_covariance": _json(motion.covariance[_UPPER].tolist())}
-
-
-def _finite(columns: dict[str, float]) -> dict[str, float]:
-    """Pass numbers on. SQLite would make NULL of a NaN, and a value would look withheld."""
-    for name, value in columns.items():
-        if not math.isfinite(value):
-            msg = f"{name} is {value}"
-            raise ValueError(msg)
-    return columns
 
 
 def _motion(values: Mapping[str, Any]) -> RigMotion | None:

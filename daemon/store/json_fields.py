@@ -9,9 +9,14 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from core.results import Measurement
-from daemon.store.convert import BURST_COLUMNS, RESULT_COLUMNS, measurement_columns
-from daemon.store.records import MeasurementRecord
+from core.results import Measurement, TargetMeasurement
+from daemon.store.convert import (
+    BURST_COLUMNS,
+    RESULT_COLUMNS,
+    STABILITY_COLUMNS,
+    result_columns,
+)
+from daemon.store.targets import TARGET_COLUMNS, target_values
 from daemon.text import utc_text
 
 
@@ -34,7 +39,19 @@ def plain(value: Any) -> Any:
 
 def result_fields(slot_utc: datetime, measurement: Measurement) -> dict[str, Any]:
     """A measurement for `--json`: the columns of `reprocess`, with the same names."""
-    record = MeasurementRecord(slot_utc, measurement, config_hash="", version="")
-    columns = measurement_columns(record)
-    fields = {name: columns.get(name) for name in RESULT_COLUMNS + BURST_COLUMNS}
-    return {**fields, "reasons": [reason.value for reason in measurement.reasons]}
+    columns = result_columns(slot_utc, measurement)
+    names = (*RESULT_COLUMNS, *STABILITY_COLUMNS, *BURST_COLUMNS)
+    return {
+        **{name: columns.get(name) for name in names},
+        "reasons": [reason.value for reason in measurement.reasons],
+        "targets": [_target_fields(target) for target in measurement.targets],
+    }
+
+
+def _target_fields(target: TargetMeasurement) -> dict[str, Any]:
+    values = target_values(target)
+    return {
+        "name": target.name,
+        **{name: values.get(name) for name in TARGET_COLUMNS},
+        "reasons": [reason.value for reason in target.reasons],
+    }

@@ -114,6 +114,12 @@ class MeasurementRow(Base):
         ),
         Index("ix_measurement_kin", "calibration_id", "reasons", "slot_utc"),
         Index("ix_measurement_fate", "slot_utc", "flag"),
+        Index(
+            "ix_measurement_closure",
+            *("slot_utc", "closure_x_mm", "closure_y_mm"),
+            *("closure_sigma_x_mm", "closure_sigma_y_mm"),
+            sqlite_where=text("closure_x_mm IS NOT NULL"),
+        ),
     )
 
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -174,6 +180,19 @@ class MeasurementRow(Base):
     calibration_id: Mapped[int | None] = mapped_column(ForeignKey("calibration.id"))
     config_hash: Mapped[str]
     version: Mapped[str]
+
+    sigma_image_x_mm: Mapped[float | None]
+    """Of the part of the uncertainty that pixels and calibration give; NULL: all of it."""
+    sigma_image_y_mm: Mapped[float | None]
+    cov_image_xy_mm2: Mapped[float | None]
+    closure_x_mm: Mapped[float | None]
+    """What the fixed targets together say of the rig's error; NULL where none is believed."""
+    closure_y_mm: Mapped[float | None]
+    closure_sigma_x_mm: Mapped[float | None]
+    closure_sigma_y_mm: Mapped[float | None]
+    closure_cov_xy_mm2: Mapped[float | None]
+    targets: Mapped[str | None]
+    """JSON of the further targets, see `daemon.store.targets`; NULL without any."""
 
 
 class UndatedRow(Base):

@@ -23,7 +23,8 @@ from tests.daemon.commands.conftest import CONFIG, Ctl, edit_table, rows_of
 
 COLUMNS = (
     "slot_utc,flag,reasons,x_mm,y_mm,sigma_x_mm,sigma_y_mm,raw_x_mm,raw_y_mm,"
-    "rx_rad,ry_rad,rz_rad,tx_mm,ty_mm,tz_mm"
+    "rx_rad,ry_rad,rz_rad,tx_mm,ty_mm,tz_mm,"
+    "sigma_image_x_mm,sigma_image_y_mm,closure_x_mm,closure_y_mm"
 )
 
 
@@ -149,7 +150,7 @@ def test_json_has_a_schema_and_the_same_names(reprocess, bench: Path) -> None:
     assert document["schema"] == 1
     assert document["calibration"] == 1
     bursts = ["spread_x_mm", "spread_y_mm", "frames_used"]
-    assert list(document["rows"][0]) == [*COLUMNS.split(","), *bursts]
+    assert list(document["rows"][0]) == [*COLUMNS.split(","), *bursts, "targets"]
     given, written = ([row["x_mm"] for row in table] for table in (document["rows"], rows))
     assert [float(x_mm) for x_mm in written] == pytest.approx(given, rel=0, abs=0.51e-6)
 

@@ -7,7 +7,16 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 
 from core.calibration.calibrate import CalibrationReport
-from core.results import Diagnostics, Displacement, Flag, Measurement, Reason, RigMotion
+from core.results import (
+    Diagnostics,
+    Displacement,
+    Flag,
+    Measurement,
+    Reason,
+    RigMotion,
+    TargetMeasurement,
+)
+from core.site import TargetRole
 from daemon.store.records import CalibrationRecord, CameraState, MeasurementRecord
 from drivers.protocols import CapturedFrame, CapturedPair
 
@@ -20,18 +29,49 @@ def slot(number: int, start: datetime = START) -> datetime:
     return start + timedelta(seconds=PERIOD_S * number)
 
 
+FIXED = TargetMeasurement(
+    "abutment",
+    TargetRole.FIXED,
+    Flag.GOOD,
+    (),
+    corrected=Displacement(np.array([0.03, -0.04]), np.array([[0.01, 0.002], [0.002, 0.0225]])),
+    raw=Displacement(np.array([2.5, -3.5]), np.array([[0.09, 0.003], [0.003, 0.16]])),
+)
+MEASURED = TargetMeasurement(
+    "quarter-span",
+    TargetRole.MEASURED,
+    Flag.SUSPECT,
+    (Reason.TARGET_PARTLY_HIDDEN, Reason.TARGET_DISTURBED),
+    corrected=Displacement(
+        np.array([0.7, -0.8]),
+        np.array([[0.36, 0.004], [0.004, 0.49]]),
+        image_mm2=np.array([[0.0004, 0.0001], [0.0001, 0.0009]]),
+    ),
+    raw=Displacement(np.array([4.5, -5.5]), np.array([[0.64, 0.005], [0.005, 0.81]])),
+)
+HIDDEN = TargetMeasurement(
+    "abutment", TargetRole.FIXED, Flag.BAD, (Reason.TARGET_NOT_FOUND,), corrected=None, raw=None
+)
+
+
 def full_measurement() -> Measurement:
     """Every field has a value of its own."""
     half = np.arange(36.0).reshape(6, 6) / 7.0
     return Measurement(
         flag=Flag.SUSPECT,
         reasons=(Reason.TOO_DARK, Reason.MAIN_TARGET_PARTLY_HIDDEN),
-        corrected=Displacement(np.array([0.1, -0.2]), np.array([[0.04, 0.01], [0.01, 0.09]])),
+        corrected=Displacement(
+            np.array([0.1, -0.2]),
+            np.array([[0.04, 0.01], [0.01, 0.09]]),
+            image_mm2=np.array([[0.0025, 0.001], [0.001, 0.0036]]),
+        ),
         raw=Displacement(np.array([1.1, -1.2]), np.array([[0.16, -0.02], [-0.02, 0.25]])),
         motion=RigMotion(np.array([1e-3, -2e-3, 3e-3]), np.array([0.1, -0.2, 0.3]), half + half.T),
         diagnostics=Diagnostics(5, 870, 0.01, 0.02, 180.5, 190.5, 1.1, 1.2),
         spread_mm=np.array([0.05, 0.06]),
         frames_used=5,
+        closure=Displacement(np.array([0.03, -0.04]), np.array([[0.01, 0.002], [0.002, 0.0225]])),
+        targets=(FIXED, MEASURED),
     )
 
 

@@ -9,6 +9,7 @@ from daemon.reports.slot_table import COLUMNS, kind_of_column
 from daemon.reports.table import DECIMALS
 from daemon.store import column_meanings
 from daemon.store.schema import MeasurementRow
+from daemon.store.targets import TARGET_COLUMNS
 
 PAGE = (Path(__file__).parents[3] / "docs" / "columns.md").read_text(encoding="utf-8")
 KINDS = {
@@ -37,7 +38,13 @@ def _unit_kind_text(name: str) -> tuple[str, str, str]:
 def test_every_column_of_the_schema_has_a_meaning_and_no_other() -> None:
     table = [column.name for column in MeasurementRow.__table__.columns]
     assert list(column_meanings.MEANINGS) == table
-    assert set(COLUMNS) == {*table, "detail"} - {"id", "digest"}
+    assert set(COLUMNS) == {*table, "detail"} - {"id", "digest", "targets"}
+
+
+def test_the_page_lists_every_column_of_a_further_target_in_its_order() -> None:
+    lines = re.findall(r"^\| `<name>_(\w+)` \| (.*?) \| (.*?) \| .*? \|$", PAGE, flags=re.MULTILINE)
+    expected = [(key, *_unit_kind_text(f"a-1_{key}")[:2]) for key in TARGET_COLUMNS]
+    assert lines == expected
 
 
 def test_a_number_has_the_unit_that_its_name_ends_in() -> None:

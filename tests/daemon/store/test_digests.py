@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from alembic import command
 from sqlalchemy import update
 
+from core.results import Measurement
 from daemon.errors import DatabaseDamagedError
 from daemon.store import migrate
 from daemon.store.checksum import row_digest
@@ -18,15 +20,24 @@ from daemon.store.digest import CheckedSession
 from daemon.store.engine import make_engine
 from daemon.store.records import GapCause, Mark
 from daemon.store.schema import Base, MeasurementRow
-from tests.daemon.store.examples import PERIOD_S, START, calibration, full_record, record, slot
+from tests.daemon.store.examples import (
+    PERIOD_S,
+    START,
+    calibration,
+    full_measurement,
+    full_record,
+    record,
+    slot,
+)
 
 
-def fill(store: Store) -> None:
+def fill(store: Store, full: Measurement | None = None) -> None:
     """Rows of every kind, also such as were changed after they were written."""
     store.add_calibration(calibration(), activate=True)
     store.record_gap(slot(0), slot(9), GapCause.CRASH, "fell", period_s=PERIOD_S)
     store.record_gap(slot(10), slot(12), GapCause.CRASH, period_s=PERIOD_S)
-    store.add_measurement(full_record(slot(5), calibration_id=1))
+    row = full_record(slot(5), calibration_id=1)
+    store.add_measurement(replace(row, measurement=full or row.measurement))
     store.add_measurement(record(slot(30)))
     for time in ("2026-03-01T00:00:00.000000Z", "2026-03-01T00:01:00.000000Z"):
         store.set_mark(Mark.HEARTBEAT_UTC, time)
@@ -112,15 +123,20 @@ def test_a_changed_row_is_an_error_and_no_value(state: Path, change: str, named:
     assert named in str(raised.value)
 
 
-def test_rows_of_an_older_version_are_signed_as_they_stand(state: Path, tmp_path: Path) -> None:
+def test_rows_of_an_older_version_are_signed_as_they_stand(tmp_path: Path) -> None:
     """The migration reckons digests as the program does, for rows of every kind."""
+    state, full = tmp_path / "state", full_measurement()
+    assert full.corrected is not None
+    corrected = replace(full.corrected, image_mm2=None)
+    with open_store(state) as store:
+        fill(store, replace(full, corrected=corrected, closure=None, targets=()))
     with closing(sqlite3.connect(state / "dcam.db")) as new:
         tables = [table.name for table in Base.metadata.sorted_tables]
         copied = {table: new.execute(f"SELECT * FROM {table}") for table in tables}
         content = {
             table: (
-                [column[0] for column in cursor.description[:-1]],
-                [row[:-1] for row in cursor if row[0] != "schema"],
+                [column[0] for column in cursor.description],
+                [row for row in cursor if row[0] != "schema"],
             )
             for table, cursor in copied.items()
         }
@@ -132,10 +148,13 @@ def test_rows_of_an_older_version_are_signed_as_they_stand(state: Path, tmp_path
         config.attributes["connection"] = connection
         command.upgrade(config, "0003")
         for table, (names, found) in content.items():
-            places = ", ".join("?" * len(names))
+            there = connection.exec_driver_sql(f"SELECT name FROM pragma_table_info('{table}')")
+            known = [names.index(name) for (name,) in there]
+            places = ", ".join("?" * len(known))
             for row in found:
                 connection.exec_driver_sql(
-                    f"INSERT INTO {table} ({', '.join(names)}) VALUES ({places})", row
+                    f"INSERT INTO {table} ({', '.join(names[k] for k in known)}) VALUES ({places})",
+                    tuple(row[k] for k in known),
                 )
     engine.dispose()
 

@@ -12,15 +12,14 @@ import pytest
 
 from daemon.reports.files import write_parquet
 from daemon.reports.netcdf import write_netcdf
-from daemon.reports.slot_table import COLUMNS, kind_of_column, slot_table
-from daemon.store.columns import Columns
+from daemon.reports.slot_table import COLUMNS, SlotTable, kind_of_column, slot_table
 from daemon.store.database import ALWAYS, NEVER, open_store
 from daemon.store.records import GapCause
 from tests.daemon.store.examples import START, calibration, full_record, record, slot
 
 
 @pytest.fixture
-def slots(tmp_path: Path) -> Iterator[Iterator[Columns]]:
+def slots(tmp_path: Path) -> Iterator[SlotTable]:
     """A row with everything, one with nothing, a slot in a gap."""
     with open_store(tmp_path / "state") as store:
         store.add_calibration(calibration())
@@ -30,7 +29,7 @@ def slots(tmp_path: Path) -> Iterator[Iterator[Columns]]:
         yield slot_table(store, ALWAYS, NEVER, lambda _done, _total: None)
 
 
-def test_parquet_has_every_column_with_its_type(slots: Iterator[Columns], tmp_path: Path) -> None:
+def test_parquet_has_every_column_with_its_type(slots: SlotTable, tmp_path: Path) -> None:
     assert write_parquet(slots, tmp_path / "a.parquet") == 3
     full, bare, missed = pq.read_table(tmp_path / "a.parquet").to_pylist()
     assert (full["slot_utc"], bare["slot_utc"]) == (slot(0), slot(1))
@@ -39,13 +38,14 @@ def test_parquet_has_every_column_with_its_type(slots: Iterator[Columns], tmp_pa
     assert full["reasons"] == "too_dark+main_target_partly_hidden"
     assert (full["recorded_late"], full["calibration_id"]) == (True, 1)
     assert (bare["x_mm"], bare["calibration_id"]) == (None, None)
+    assert (full["quarter-span_flag"], bare["quarter-span_flag"]) == (3, None)
+    assert (full["quarter-span_x_mm"], full["abutment_raw_x_mm"]) == (0.7, 2.5)
+    assert (full["abutment_role"], full["abutment_reasons"]) == ("fixed", "")
     known = {name: value for name, value in missed.items() if value is not None}
     assert known == {"slot_utc": slot(2), "flag": 9, "reasons": "power_loss", "detail": "the plug"}
 
 
-def test_netcdf_is_a_cf_time_series_with_flag_meanings(
-    slots: Iterator[Columns], tmp_path: Path
-) -> None:
+def test_netcdf_is_a_cf_time_series_with_flag_meanings(slots: SlotTable, tmp_path: Path) -> None:
     assert write_netcdf(slots, tmp_path / "a.nc", "pier-3") == 3
     with h5netcdf.File(tmp_path / "a.nc") as file:
         assert file.attrs["Conventions"].startswith("CF-")
@@ -71,8 +71,22 @@ def test_netcdf_is_a_cf_time_series_with_flag_meanings(
         assert late[...].tolist() == [1, 0, late.attrs["_FillValue"]]
 
 
+def test_netcdf_has_variables_of_each_further_target(slots: SlotTable, tmp_path: Path) -> None:
+    write_netcdf(slots, tmp_path / "a.nc", "pier-3")
+    with h5netcdf.File(tmp_path / "a.nc") as file:
+        value, flag = file["quarter-span_x_mm"], file["quarter-span_flag"]
+        assert value[...].tolist()[0] == 0.7
+        assert value.attrs["long_name"].startswith("target quarter-span: corrected displacement")
+        assert value.attrs["ancillary_variables"] == (
+            "quarter-span_flag quarter-span_reasons quarter-span_sigma_x_mm"
+        )
+        assert flag.attrs["standard_name"] == "quality_flag"
+        assert flag[...].tolist() == [3, *[flag.attrs["_FillValue"]] * 2]
+        assert file["abutment_role"][...].tolist() == [b"fixed", b"", b""]
+
+
 def test_every_netcdf_variable_says_what_it_is_and_has_its_cf_unit(
-    slots: Iterator[Columns], tmp_path: Path
+    slots: SlotTable, tmp_path: Path
 ) -> None:
     """Unit by unit, as UDUNITS knows them; what is no quantity has none."""
     write_netcdf(slots, tmp_path / "a.nc", "pier-3")
@@ -81,7 +95,7 @@ def test_every_netcdf_variable_says_what_it_is_and_has_its_cf_unit(
         "px": "1", "dn": "1",
     }  # fmt: skip
     with h5netcdf.File(tmp_path / "a.nc") as file:
-        for name in COLUMNS:
+        for name in slots.columns:
             attributes = file["time" if name == "slot_utc" else name].attrs
             assert len(attributes["long_name"]) > 10
             kind, unit = kind_of_column(name), attributes.get("units")
@@ -89,13 +103,14 @@ def test_every_netcdf_variable_says_what_it_is_and_has_its_cf_unit(
                 assert unit == by_ending[name.rpartition("_")[2]], name
             elif kind == "time":
                 assert str(unit).startswith("seconds since"), name
-            elif kind == "whole" and name != "flag":
+            elif kind == "whole" and not name.endswith("flag"):
                 assert unit == "1", name
             else:
                 assert unit is None, name
 
 
 def test_an_empty_record_is_an_empty_table(tmp_path: Path) -> None:
-    assert write_parquet(iter(()), tmp_path / "a.parquet") == 0
-    assert write_netcdf(iter(()), tmp_path / "a.nc", "pier-3") == 0
+    empty = SlotTable(COLUMNS, iter(()))
+    assert write_parquet(empty, tmp_path / "a.parquet") == 0
+    assert write_netcdf(empty, tmp_path / "a.nc", "pier-3") == 0
     assert pq.read_table(tmp_path / "a.parquet").column_names == list(COLUMNS)

@@ -28,6 +28,7 @@ from daemon.errors import (
     StoreError,
 )
 from daemon.store import migrate
+from daemon.store.checksum import row_digest
 from daemon.store.database import open_store, open_store_readonly
 from daemon.store.engine import make_engine
 from daemon.store.opening import open_checked_store
@@ -177,6 +178,50 @@ def test_rows_from_before_bursts_rest_on_one_pair(tmp_path: Path) -> None:
     assert first.corrected is not None
     assert first.corrected.mm.tolist() == [0.25, 0.5]
     assert (first.spread_mm, first.frames_used, second.frames_used) == (None, 1, 0)
+
+
+def test_rows_from_before_further_targets_stay_as_they_are(tmp_path: Path) -> None:
+    """A database of revision 0006: values and digests stay; the image gives the whole sigma."""
+    row: dict[str, object] = {
+        "id": 1,
+        "slot_utc": slot_text(slot(0)),
+        "flag": 1,
+        "reasons": "",
+        "x_mm": 0.25,
+        "y_mm": 0.5,
+        "sigma_x_mm": 0.1,
+        "sigma_y_mm": 0.2,
+        "cov_xy_mm2": 0.001,
+        "discs_found": 5,
+        "corners_used": 900,
+        "frames_used": 1,
+        "recorded_late": 0,
+        "config_hash": "c0ffee",
+        "version": "0.1",
+    }
+    row["digest"] = row_digest("measurement", row)
+    engine = make_engine(tmp_path / "dcam.db")
+    config = migrate.alembic_config()
+    with engine.execution_options(dcam_begin="IMMEDIATE").begin() as connection:
+        config.attributes["connection"] = connection
+        command.upgrade(config, "0006")
+        names, places = ", ".join(row), ", ".join("?" * len(row))
+        connection.exec_driver_sql(
+            f"INSERT INTO measurement ({names}) VALUES ({places})", tuple(row.values())
+        )
+    engine.dispose()
+    with open_store(tmp_path, now_utc=NOW) as store:
+        (read,) = store.measurements()
+        store.add_measurement(full_record(slot(1)))
+    assert read.measurement.corrected is not None
+    assert read.measurement.corrected.mm.tolist() == [0.25, 0.5]
+    assert read.measurement.corrected.image_mm2 is None
+    assert (read.measurement.closure, read.measurement.targets) == (None, ())
+    with closing(sqlite3.connect(tmp_path / "dcam.db")) as connection:
+        kept = connection.execute("SELECT digest FROM measurement WHERE id = 1").fetchone()
+    assert kept == (row["digest"],)
+    with open_checked_store(tmp_path) as store:
+        assert store.last_slot() == slot(1)
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,8 @@ from daemon.store import columns, sqlite
 from daemon.store.database import Store, open_store, open_store_readonly
 from tests.daemon.store.examples import (
     BAD,
+    FIXED,
+    MEASURED,
     START,
     calibration,
     full_measurement,
@@ -42,6 +44,8 @@ def same(one: object, other: object) -> bool:
     """Equality of nested records with arrays in them; sigmas are squares of square roots."""
     if isinstance(one, np.ndarray):
         return np.allclose(one, other, rtol=1e-15, atol=0.0)
+    if isinstance(one, tuple) and isinstance(other, tuple):
+        return len(one) == len(other) and all(map(same, one, other))
     names = [field.name for field in fields(one)] if hasattr(one, "__dataclass_fields__") else []
     if names:
         return all(same(getattr(one, name), getattr(other, name)) for name in names)
@@ -98,11 +102,15 @@ def test_a_good_row_must_have_a_value_and_a_bad_one_none(store: Store) -> None:
 def test_what_is_no_number_is_refused_and_not_made_null(store: Store, number: float) -> None:
     good = full_measurement()
     assert good.raw is not None
+    wrong = replace(good.raw, mm=np.full(2, number))
     assert good.motion is not None
     for measurement in (
-        replace(good, corrected=replace(good.raw, mm=np.full(2, number))),
+        replace(good, corrected=wrong),
+        replace(good, closure=wrong),
+        replace(good, targets=(FIXED, replace(MEASURED, raw=wrong))),
+        replace(good, corrected=replace(good.raw, image_mm2=np.full((2, 2), number))),
         replace(good, corrected=replace(good.raw, covariance_mm2=np.full((2, 2), number))),
-        replace(good, raw=replace(good.raw, mm=np.full(2, number))),
+        replace(good, raw=wrong),
         replace(good, motion=replace(good.motion, rotation_rad=np.full(3, number))),
         replace(good, motion=replace(good.motion, covariance=np.full((6, 6), number))),
     ):
