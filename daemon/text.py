@@ -9,7 +9,7 @@ import sys
 import unicodedata
 from datetime import UTC, datetime
 
-from core.results import Flag, Measurement
+from core.results import Displacement, Flag, Measurement
 
 _IN_ASCII = {"±": "+/-", "°": "deg"}
 _READABLE = "dcam.readable"
@@ -40,12 +40,17 @@ def value_text(measurement: Measurement) -> str:
     why = "+".join(measurement.reasons)
     if measurement.corrected is None:
         return f"no value ({measurement.flag.name.lower()}: {why})"
-    (x_mm, y_mm), covariance = measurement.corrected.mm, measurement.corrected.covariance_mm2
-    text = (
+    text = displacement_text(measurement.corrected)
+    return text if measurement.flag is Flag.GOOD else f"{text} (suspect: {why})"
+
+
+def displacement_text(displacement: Displacement) -> str:
+    """Write a displacement with its sigma."""
+    (x_mm, y_mm), covariance = displacement.mm, displacement.covariance_mm2
+    return (
         f"x {x_mm:+.3f} ± {covariance[0, 0] ** 0.5:.3f} mm, "
         f"y {y_mm:+.3f} ± {covariance[1, 1] ** 0.5:.3f} mm"
     )
-    return text if measurement.flag is Flag.GOOD else f"{text} (suspect: {why})"
 
 
 def visible(text: str) -> str:

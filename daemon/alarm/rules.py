@@ -9,7 +9,7 @@ from enum import Enum
 from pydantic import AwareDatetime, BaseModel, ConfigDict
 
 from daemon.config.alarm import AlarmSection
-from daemon.status.verdict import Item, Level, worst
+from daemon.status.item import Item, Level, worst
 from daemon.text import span_text, utc_text
 
 

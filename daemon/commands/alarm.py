@@ -25,7 +25,8 @@ from daemon.config.reading import (
 from daemon.error_report import lines_of
 from daemon.errors import ConfigError, ExitCode
 from daemon.status.facts import collect_facts
-from daemon.status.verdict import Item, judge, no_verdict
+from daemon.status.item import Item
+from daemon.status.verdict import judge, no_verdict
 from daemon.text import utc_text
 
 

@@ -10,8 +10,10 @@ import click
 from daemon.commands.options import Options, at_option, common_options, json_option, pass_options
 from daemon.commands.output import gap_fields, print_json, print_table, say
 from daemon.status.facts import Facts, collect_facts
-from daemon.status.verdict import Item, Level, judge, no_verdict, worst
-from daemon.store.json_fields import result_fields
+from daemon.status.item import Item, Level, worst
+from daemon.status.verdict import judge, no_verdict
+from daemon.store.json_fields import result_fields, target_fields
+from daemon.store.overview import TargetSummary
 from daemon.store.records import Coverage
 from daemon.text import utc_text
 
@@ -101,6 +103,9 @@ def status_fields(facts: Facts, items: list[Item]) -> dict[str, object]:
             "passed": calibration.passed,
             "fits_config": calibration.config_hash == facts.config_hash,
         },
+        "closure_24h": asdict(facts.closure_24h) if facts.closure_24h else None,
+        "closure_30d": asdict(facts.closure_30d) if facts.closure_30d else None,
+        "targets": [_target_fields(target) for target in facts.targets],
         "coverage_24h": coverage_fields(facts.coverage_24h),
         "coverage_30d": coverage_fields(facts.coverage_30d),
         "gaps": [gap_fields(gap) for gap in facts.gaps],
@@ -110,6 +115,15 @@ def status_fields(facts: Facts, items: list[Item]) -> dict[str, object]:
         "frames_not_kept_24h": facts.frames_not_kept_24h,
         "clock_synchronised": facts.clock_synchronised,
         "undated": facts.undated,
+    }
+
+
+def _target_fields(target: TargetSummary) -> dict[str, object]:
+    return {
+        **target_fields(target.now),
+        "rows_24h": target.rows,
+        "rows_with_value_24h": target.rows_with_value,
+        "last_value_slot_utc": target.last_value_utc,
     }
 
 

@@ -6,7 +6,7 @@ counted within a window, and falls again.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -16,7 +16,8 @@ from prometheus_client.registry import Collector
 
 from core.results import Displacement
 from daemon.status.facts import Daemon, Disk, Facts
-from daemon.status.verdict import Item, Level, worst
+from daemon.status.item import Item, Level, worst
+from daemon.store.overview import ClosureSummary, TargetSummary
 from daemon.store.records import Coverage, GapCause, MeasurementRecord
 from daemon.version import VERSION
 
@@ -33,6 +34,8 @@ def metrics_text(facts: Facts, items: Sequence[Item]) -> bytes:
             *_verdict(worst(list(items)), items),
             *_site(facts),
             *(_row(facts.last) if facts.last else ()),
+            *_closure({"24h": facts.closure_24h, "30d": facts.closure_30d}),
+            *_targets(facts.targets),
             *_coverage({"24h": facts.coverage_24h, "30d": facts.coverage_30d}),
             *_daemon(facts.daemon),
             *_disk(facts.disk),
@@ -133,6 +136,48 @@ def _row(row: MeasurementRecord) -> Iterator[GaugeMetricFamily]:
         shift = (measured.motion.translation_mm * M_PER_MM).tolist()
         yield _by_axis("rig_translation_metres", "Of the rig since the reference", shift)
     yield from _cameras(row)
+
+
+def _closure(windows: Mapping[str, ClosureSummary | None]) -> Iterator[GaugeMetricFamily]:
+    known = {name: closure for name, closure in windows.items() if closure is not None}
+    text = "What fixed targets show of the rig's error, rms of x and y"
+    values = [((name,), closure.rms_mm * M_PER_MM) for name, closure in known.items()]
+    yield _labelled("closure_rms_metres", text, ("window",), values)
+    text = "What that should be, by its sigmas"
+    values = [((name,), closure.sigma_mm * M_PER_MM) for name, closure in known.items()]
+    yield _labelled("closure_sigma_metres", text, ("window",), values)
+
+
+def _targets(targets: Sequence[TargetSummary]) -> Iterator[GaugeMetricFamily]:
+    """The further targets, by their names; without a line what is not known."""
+    text = "Of the last row: 1 good, 3 suspect, 4 bad, 9 missing"
+    flags = [((target.now.name,), float(target.now.flag)) for target in targets]
+    yield _labelled("target_flag", text, ("target",), flags)
+    text = "Corrected, x right, y up; of a fixed target its closure"
+    yield _of_targets("target_displacement_metres", text, targets, _metres)
+    text = "1 sigma of it"
+    yield _of_targets("target_displacement_sigma_metres", text, targets, _sigmas)
+    text = "Of 24 hours, the share of the rows with a value that have one of it too"
+    shares = [
+        ((target.now.name,), target.rows_with_value / target.rows)
+        for target in targets
+        if target.rows
+    ]
+    yield _labelled("target_value_ratio", text, ("target",), shares)
+
+
+def _of_targets(
+    name: str,
+    text: str,
+    targets: Sequence[TargetSummary],
+    numbers: Callable[[Displacement | None], Sequence[float]],
+) -> GaugeMetricFamily:
+    values = (
+        ((target.now.name, axis), value)
+        for target in targets
+        for axis, value in zip(AXES, numbers(target.now.corrected), strict=False)
+    )
+    return _labelled(name, text, ("target", "axis"), values)
 
 
 def _cameras(row: MeasurementRecord) -> Iterator[GaugeMetricFamily]:

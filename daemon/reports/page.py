@@ -15,7 +15,8 @@ from daemon.reports.figure import draw
 from daemon.reports.history import History, gap_spans
 from daemon.status.coverage import coverage_text
 from daemon.status.facts import collect_facts
-from daemon.status.verdict import judge, worst
+from daemon.status.item import worst
+from daemon.status.verdict import judge
 from daemon.store.database import Store
 from daemon.text import span_text, utc_text
 from daemon.version import VERSION

@@ -19,7 +19,13 @@ from daemon.control.run_state import RunState, is_alive, read_run_state, runtime
 from daemon.lock import LOCK_NAME
 from daemon.retention.event_kinds import KEPT_AGAIN, NOT_KEPT
 from daemon.retention.outlook import Archive, days_until_short
-from daemon.store.overview import ActiveCalibrationSummary, Overview, open_overview
+from daemon.store.overview import (
+    ActiveCalibrationSummary,
+    ClosureSummary,
+    Overview,
+    TargetSummary,
+    open_overview,
+)
 from daemon.store.records import (
     BELIEVED,
     SLIPPED,
@@ -89,6 +95,11 @@ class Facts:
     """How much worse the corners fit than at calibration, over the last rows; None of too few."""
     slipped_utc: datetime | None
     """The last row of a board that has slipped and is not back."""
+    closure_24h: ClosureSummary | None
+    closure_30d: ClosureSummary | None
+    """None without a fixed target that is believed."""
+    targets: tuple[TargetSummary, ...]
+    """The further targets, counted over 24 hours."""
     config_hash: str
     coverage_24h: Coverage
     coverage_30d: Coverage
@@ -116,7 +127,7 @@ def collect_facts(config: Config, state: Path, now_utc: datetime) -> Facts:
         accounted, last = overview.accounted(), overview.last_row()
         calibration = overview.calibration()
         residual_ratio, slipped_utc = _continuity(overview, last, calibration)
-        note = read_note(state)
+        note, until_utc = read_note(state), now_utc + timedelta(seconds=1)
         return Facts(
             site=config.name,
             now_utc=now_utc,
@@ -127,6 +138,9 @@ def collect_facts(config: Config, state: Path, now_utc: datetime) -> Facts:
             calibration=calibration,
             residual_ratio=residual_ratio,
             slipped_utc=slipped_utc,
+            closure_24h=overview.closure(now_utc - DAY, until_utc),
+            closure_30d=overview.closure(now_utc - MONTH, until_utc),
+            targets=tuple(overview.targets(now_utc - DAY, until_utc)),
             config_hash=config.config_hash(),
             coverage_24h=_coverage(config, overview, accounted, now_utc, DAY),
             coverage_30d=_coverage(config, overview, accounted, now_utc, MONTH),

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from enum import IntEnum
 
 from daemon.error_report import lines_of
 from daemon.errors import DatabaseDamagedError
 from daemon.status.coverage import coverage_text
 from daemon.status.facts import CAMERA_CAUSES, DAY, Daemon, Disk, Facts
+from daemon.status.item import Item, Level
+from daemon.status.targets import judge_targets
 from daemon.store.records import Coverage
 from daemon.text import bytes_text, span_text, utc_text, value_text
 
@@ -28,30 +28,6 @@ LOW_DISK_SHARE = 0.05
 """Of the disk, as long as no pair was kept that would tell for how many days it lasts."""
 
 
-class Level(IntEnum):
-    """As Nagios plugins exit."""
-
-    OK = 0
-    WARNING = 1
-    CRITICAL = 2
-    UNKNOWN = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Item:
-    """One thing looked at."""
-
-    name: str
-    level: Level
-    text: str
-
-
-def worst(items: list[Item]) -> Level:
-    """The worst of the levels known; what is unknown counts only if nothing is wrong."""
-    bad = [item.level for item in items if item.level in {Level.WARNING, Level.CRITICAL}]
-    return max(bad, default=max((item.level for item in items), default=Level.UNKNOWN))
-
-
 def no_verdict(error: Exception) -> Item:
     """Say why nothing else can be said."""
     level = Level.CRITICAL if isinstance(error, DatabaseDamagedError) else Level.UNKNOWN
@@ -67,6 +43,7 @@ def judge(facts: Facts) -> list[Item]:
         _supervision(facts),
         _cameras(facts),
         _calibration(facts),
+        *judge_targets(facts),
         _coverage("coverage 24 h", facts.coverage_24h),
         _coverage("coverage 30 d", facts.coverage_30d),
         _gaps(facts),

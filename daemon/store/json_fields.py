@@ -44,11 +44,12 @@ def result_fields(slot_utc: datetime, measurement: Measurement) -> dict[str, Any
     return {
         **{name: columns.get(name) for name in names},
         "reasons": [reason.value for reason in measurement.reasons],
-        "targets": [_target_fields(target) for target in measurement.targets],
+        "targets": [target_fields(target) for target in measurement.targets],
     }
 
 
-def _target_fields(target: TargetMeasurement) -> dict[str, Any]:
+def target_fields(target: TargetMeasurement) -> dict[str, Any]:
+    """A further target for `--json`, with the names of its columns."""
     values = target_values(target)
     return {
         "name": target.name,

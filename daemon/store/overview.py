@@ -6,6 +6,7 @@ nothing reads the rows of a month one by one.
 
 from __future__ import annotations
 
+import math
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -13,13 +14,14 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from core.results import Flag
+from core.results import Flag, TargetMeasurement
 from daemon.store.convert import measurement_record, stored_time
 from daemon.store.reading import fetch, value, whole_rows
 from daemon.store.records import Coverage, GapCause, GapRecord, Mark, MeasurementRecord
 from daemon.store.revisions import require_head
 from daemon.store.runs import next_second, overlap, run_between, slot_at
 from daemon.store.sqlite import connect_readonly, existing_path, said_plainly
+from daemon.store.targets import targets_of
 from daemon.times import instant_text, slot_text
 
 
@@ -46,6 +48,30 @@ class Fit:
     slot_utc: datetime
     sub_residual_px: float
     sub_contrast_dn: float
+
+
+@dataclass(frozen=True, slots=True)
+class ClosureSummary:
+    """How large the closures of some rows are, and how large they should be."""
+
+    rows: int
+    rms_mm: float
+    """Of all x and y."""
+    sigma_mm: float
+    """rms of their sigmas: what the closures' rms should be."""
+
+
+@dataclass(frozen=True, slots=True)
+class TargetSummary:
+    """A further target: what the newest row with any says of it, and how often it was seen."""
+
+    now: TargetMeasurement
+    rows: int
+    """With a value of the main target, since a time: of those it should have been seen in all."""
+    rows_with_value: int
+    """Of these, those that have a value of it too."""
+    last_value_utc: datetime | None
+    """The last slot of any row since then that has one."""
 
 
 @contextmanager
@@ -201,6 +227,48 @@ class Overview:
         return [
             Fit(stored_time(slot), residual_px or 0.0, contrast_dn or 0.0)
             for slot, residual_px, contrast_dn in sorted(found)[-limit:]
+        ]
+
+    def closure(self, since: datetime, until: datetime) -> ClosureSummary | None:
+        """The closures of since <= slot < until; None without any."""
+        query = (  # from an index that holds nothing else
+            "SELECT count(*), avg(closure_x_mm * closure_x_mm + closure_y_mm * closure_y_mm),"
+            " avg(closure_sigma_x_mm * closure_sigma_x_mm"
+            " + closure_sigma_y_mm * closure_sigma_y_mm) FROM measurement"
+            " WHERE closure_x_mm IS NOT NULL AND slot_utc >= ? AND slot_utc < ?"
+        )
+        limits = [slot_text(next_second(time)) for time in (since, until)]
+        rows, square_mm2, variance_mm2 = fetch(self._connection, query, *limits)[0]
+        if not rows:
+            return None
+        return ClosureSummary(rows, math.sqrt(square_mm2 / 2), math.sqrt(variance_mm2 / 2))
+
+    def targets(self, since: datetime, until: datetime) -> list[TargetSummary]:
+        """The further targets that the newest row with any names, in its order.
+
+        Counted over since <= slot < until; none where no row of that span names any.
+        """
+        limits = [slot_text(next_second(time)) for time in (since, until)]
+        within = "targets IS NOT NULL AND slot_utc >= ? AND slot_utc < ?"
+        newest = f"SELECT * FROM measurement WHERE {within} ORDER BY slot_utc DESC LIMIT 1"  # noqa: S608 - our own words
+        found = whole_rows(self._connection, "measurement", newest, *limits)
+        query = (
+            "SELECT json_extract(targets, found.fullkey || '.name'), sum(measured),"  # noqa: S608
+            " sum(measured AND there), max(CASE WHEN there THEN slot_utc END) FROM"
+            " (SELECT slot_utc, targets, fullkey, x_mm IS NOT NULL AS measured,"
+            " json_extract(targets, fullkey || '.x_mm') IS NOT NULL AS there"
+            f" FROM measurement, json_each(targets) WHERE {within}) AS found GROUP BY 1"
+        )
+        counts = {
+            name: (int(rows), int(rows_with_value), last)
+            for name, rows, rows_with_value, last in (
+                fetch(self._connection, query, *limits) if found else ()
+            )
+        }
+        return [
+            TargetSummary(now, rows, rows_with_value, stored_time(last) if last else None)
+            for now in (targets_of(found[0]["targets"]) if found else ())
+            for rows, rows_with_value, last in (counts[now.name],)
         ]
 
     def events(self, kind: str, since: datetime) -> int:
