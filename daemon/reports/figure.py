@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 RAW, CORRECTED, TRUE, SUSPECT, BAD = "#9a9a9a", "#0072b2", "#111111", "#e69f00", "#d55e00"
 AXES = ("#0072b2", "#e69f00", "#009e73")
+FURTHER = ("#009e73", "#cc79a7", "#56b4e9", "#7a5c00")
+"""Of further targets, in turn."""
 
 _EPOCH = np.datetime64(0, "us")
 """What matplotlib counts its days from."""
@@ -59,15 +61,18 @@ def draw(
         series = _broken_at_gaps(series, gaps)
     else:
         title = f"{title}, lowest and highest of every {span_text(series.bin_s)}"
-    known = series.true_mm is not None
-    figure = Figure(figsize=(11.0, 12.0 if known else 10.0), layout="constrained")
+    known, closed = series.true_mm is not None, bool(np.isfinite(series.closure_mm).any())
+    count = 4 + known + closed
+    figure = Figure(figsize=(11.0, 2.0 + 2.0 * count), layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=12)
-    panels = list(figure.subplots(5 if known else 4, 1, sharex=True))
+    panels = list(figure.subplots(count, 1, sharex=True))
     _displacement(panels[0], series, 1, "vertical y (mm)")
     _displacement(panels[1], series, 0, "horizontal x (mm)")
     if known:
         _error(panels[2], series)
+    if closed:
+        _closure(panels[-3], series)
     _motion(panels[-2], series, series.rotation_mrad, "rotation (mrad)", "r")
     _motion(panels[-1], series, series.translation_mm, "translation (mm)", "t")
     for panel in panels:
@@ -101,6 +106,9 @@ def _broken_at_gaps(series: Series, gaps: Sequence[GapSpan]) -> Series:
         translation_mm=broken(series.translation_mm),
         suspect_mm=broken(series.suspect_mm),
         withheld=np.insert(series.withheld, at, values=False),
+        closure_mm=broken(series.closure_mm),
+        closure_sigma_mm=broken(series.closure_sigma_mm),
+        targets_mm={name: broken(mm) for name, mm in series.targets_mm.items()},
         true_mm=None if series.true_mm is None else broken(series.true_mm),
     )
 
@@ -124,6 +132,9 @@ def _displacement(panel: Axes, series: Series, axis: int, label: str) -> None:
         alpha=0.25,
         label="± 1 sigma",
     )
+    for number, (name, mm) in enumerate(series.targets_mm.items()):
+        colour = FURTHER[number % len(FURTHER)]
+        _line(panel, series, mm[:, axis], color=colour, linewidth=1.0, label=name)
     _mark_flags(panel, series, axis)
     panel.set_ylabel(label)
 
@@ -152,6 +163,18 @@ def _error(panel: Axes, series: Series) -> None:
         panel.fill_between(times, -sigma, sigma, color=colour, alpha=0.12)
     panel.plot([], [], color=RAW, linewidth=6, alpha=0.4, label="± 1 sigma")
     panel.set_ylabel("corrected - true (mm)")
+
+
+def _closure(panel: Axes, series: Series) -> None:
+    """What fixed targets show of the rig's error, and within what its sigma lets expect it."""
+    times: Any = series.times
+    for axis, name, colour in ((1, "y", CORRECTED), (0, "x", AXES[2])):
+        style = {"color": colour, "linewidth": 1.0, "label": f"closure {name}"}
+        _line(panel, series, series.closure_mm[:, axis], **style)
+        sigma = series.closure_sigma_mm[:, axis]
+        panel.fill_between(times, -sigma, sigma, color=colour, alpha=0.12)
+    panel.plot([], [], color=RAW, linewidth=6, alpha=0.4, label="± 1 sigma")
+    panel.set_ylabel("closure (mm)")
 
 
 def _motion(panel: Axes, series: Series, values: FloatArray, label: str, symbol: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
@@ -12,16 +12,21 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.results import Flag
+from core.site import TargetRole
 from daemon.errors import WorkFailedError
 from daemon.reports.figure import GapSpan
 from daemon.reports.series import BINS, Envelope, Points, Series
-from daemon.store.columns import Columns, Tell, read_columns
+from daemon.store.columns import Columns, Tell, read_columns, target_roles
 from daemon.store.database import Store
 from daemon.store.records import Coverage, GapRecord
+from daemon.store.targets import columns_of_target, values_of_targets
 from daemon.text import utc_text
 
 MOST_POINTS = 2 * BINS
 """More rows than this are drawn as their envelope."""
+
+_VALUES = ("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm")
+_OF_TARGET = ("flag", *_VALUES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +42,28 @@ class Month:
 
 
 @dataclass(frozen=True, slots=True)
+class ClosureMonth:
+    """What fixed targets showed of the rig's error in a month, in mm: rms of x and of y."""
+
+    name: str
+    rows: int
+    rms_mm: tuple[float, float]
+    sigma_mm: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class TargetHistory:
+    """A further target, in mm; of its good rows."""
+
+    name: str
+    role: str
+    rows: int
+    """That name it, whatever they say of it."""
+    good: Month | None
+    """All of the span together; None without any good row."""
+
+
+@dataclass(frozen=True, slots=True)
 class History:
     """A stretch of the record."""
 
@@ -47,6 +74,9 @@ class History:
     gaps: tuple[GapRecord, ...]
     series: Series
     months: tuple[Month, ...]
+    closures: tuple[ClosureMonth, ...]
+    targets: tuple[TargetHistory, ...]
+    """The further targets that rows name."""
     reasons: tuple[tuple[str, int], ...]
     """Of the rows that are not good, by number."""
     calibrations: tuple[int, ...]
@@ -65,9 +95,11 @@ def read_history(
     """Read what there is from `since` to `until`. Raises StoreError, WorkFailedError if nothing."""
     since_utc, until_utc = _span(store, since, until)
     coverage = store.coverage(since_utc, until_utc, period_s=period_s, offset_s=offset_s)
+    roles = target_roles(store.path, since_utc, until_utc)
+    drawn_targets = [name for name, role in roles.items() if role == TargetRole.MEASURED]
     fits = coverage.measured <= MOST_POINTS
-    drawn = Points() if fits else Envelope(since_utc, until_utc)
-    summary = Summary()
+    drawn = Points(drawn_targets) if fits else Envelope(since_utc, until_utc, drawn_targets)
+    summary = Summary(roles)
     for rows in read_columns(store.path, since_utc, until_utc, tell):
         drawn.add(rows)
         summary.add(rows)
@@ -78,6 +110,8 @@ def read_history(
         gaps=tuple(store.gaps(since_utc, until_utc)),
         series=drawn.series(),
         months=summary.months(),
+        closures=summary.closures(),
+        targets=summary.targets(),
         reasons=tuple(summary.reasons.most_common()),
         calibrations=tuple(sorted(summary.calibrations)),
     )
@@ -102,7 +136,11 @@ def _span(
 class Summary:
     """Figures of rows as they come: 32 bytes of each good one are kept."""
 
-    def __init__(self) -> None:
+    def __init__(self, roles: Mapping[str, str]) -> None:
+        self._roles = roles
+        self._named = Counter[str]()
+        self._targets = {name: array("d") for name in roles}
+        self._closures: dict[str, array[float]] = {}
         self.reasons: Counter[str] = Counter()
         self.calibrations: set[int] = set()
         self._months: dict[str, array[float]] = {}
@@ -113,32 +151,68 @@ class Summary:
             self.reasons.update(dict.fromkeys(filter(None, joined.split("+")), count))
         self.calibrations.update(set(rows.values["calibration_id"]) - {None})
         good = np.array(rows.values["flag"]) == Flag.GOOD
-        values = rows.numbers("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm")
+        values = rows.numbers(*_VALUES)
+        closures = rows.numbers(*(f"closure_{name}" for name in _VALUES))
+        closed = np.isfinite(closures[:, 0])
         months = np.array([slot[:7] for slot in rows.values["slot_utc"]])
         for name in dict.fromkeys(months.tolist()):
-            chosen = values[good & (months == name)]
-            self._months.setdefault(name, array("d")).frombytes(chosen.tobytes())
+            for kept, chosen in (
+                (self._months, values[good & (months == name)]),
+                (self._closures, closures[closed & (months == name)]),
+            ):
+                kept.setdefault(name, array("d")).frombytes(chosen.tobytes())
+        self._add_targets(rows)
+
+    def _add_targets(self, rows: Columns) -> None:
+        names = list(self._roles)
+        found = values_of_targets(rows.values["targets"], names, _OF_TARGET)
+        for name in names:
+            flags, *columns = (found[column] for column in columns_of_target(name, _OF_TARGET))
+            self._named[name] += len(flags) - flags.count(None)
+            values = np.array(columns, dtype=np.float64).T
+            good = np.array([flag == Flag.GOOD for flag in flags], dtype=np.bool_)
+            self._targets[name].frombytes(values[good].tobytes())
 
     def months(self) -> tuple[Month, ...]:
         """The good rows by month."""
         months = {name: np.array(kept).reshape(-1, 4) for name, kept in self._months.items()}
         return tuple(_month(name, values) for name, values in months.items() if len(values))
 
+    def closures(self) -> tuple[ClosureMonth, ...]:
+        """The closures by month."""
+        months = {name: np.array(kept).reshape(-1, 4) for name, kept in self._closures.items()}
+        return tuple(
+            ClosureMonth(name, len(values), _pair(rms[:2]), _pair(rms[2:]))
+            for name, values in months.items()
+            if len(values)
+            for rms in (np.sqrt((values**2).mean(axis=0)),)
+        )
+
+    def targets(self) -> tuple[TargetHistory, ...]:
+        """The further targets, in their order."""
+        good = {name: np.array(kept).reshape(-1, 4) for name, kept in self._targets.items()}
+        return tuple(
+            TargetHistory(
+                name, role, self._named[name], _month("", good[name]) if len(good[name]) else None
+            )
+            for name, role in self._roles.items()
+        )
+
 
 def _month(name: str, values: FloatArray) -> Month:
     mm, sigma_mm = values[:, :2], values[:, 2:]
-
-    def pair(numbers: FloatArray) -> tuple[float, float]:
-        return float(numbers[0]), float(numbers[1])
-
     return Month(
         name=name,
         rows=len(values),
-        mean_mm=pair(mm.mean(axis=0)),
-        lowest_mm=pair(mm.min(axis=0)),
-        highest_mm=pair(mm.max(axis=0)),
-        median_sigma_mm=pair(np.median(sigma_mm, axis=0)),
+        mean_mm=_pair(mm.mean(axis=0)),
+        lowest_mm=_pair(mm.min(axis=0)),
+        highest_mm=_pair(mm.max(axis=0)),
+        median_sigma_mm=_pair(np.median(sigma_mm, axis=0)),
     )
+
+
+def _pair(numbers: FloatArray) -> tuple[float, float]:
+    return float(numbers[0]), float(numbers[1])
 
 
 def gap_spans(gaps: Sequence[GapRecord]) -> list[GapSpan]:

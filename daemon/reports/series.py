@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
@@ -14,6 +14,7 @@ import numpy.typing as npt
 from core.arrays import BoolArray, FloatArray
 from core.results import Flag, Measurement
 from daemon.store.columns import Columns
+from daemon.store.targets import values_of_targets
 from daemon.times import utc_array
 
 BINS = 2400
@@ -21,6 +22,7 @@ BINS = 2400
 
 _VALUES = ("raw_x_mm", "raw_y_mm", "x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm")
 _MOTION = ("rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm")
+_CLOSURE = ("closure_x_mm", "closure_y_mm", "closure_sigma_x_mm", "closure_sigma_y_mm")
 TimeArray = npt.NDArray[np.datetime64]
 
 
@@ -49,6 +51,12 @@ class Series:
     """(n, 2) `corrected_mm` of suspect rows."""
     withheld: BoolArray
     """(n,) a row that is bad."""
+    closure_mm: FloatArray
+    """(n, 2) what fixed targets show of the rig's error."""
+    closure_sigma_mm: FloatArray
+    """(n, 2)."""
+    targets_mm: Mapping[str, FloatArray]
+    """(n, 2) corrected, of each measured further target."""
     true_mm: FloatArray | None = None
     """(n, 2) true displacement, where a simulation knows it."""
     bin_s: float | None = None
@@ -63,7 +71,7 @@ class Series:
 def series_of(
     rows: Sequence[tuple[datetime, Measurement]], true_mm: FloatArray | None = None
 ) -> Series:
-    """Put a few measurements into a series."""
+    """Put a few measurements of a site without further targets into a series."""
     measured = [measurement for _, measurement in rows]
     none = (math.nan, math.nan, math.nan)
 
@@ -82,6 +90,7 @@ def series_of(
             np.sqrt(column(variances, 2)),
             column(rotations, 3),
             column(translations, 3),
+            np.full((len(rows), len(_CLOSURE)), np.nan),
         ]
     )
     flags = np.array([m.flag for m in measured], dtype=np.int8)
@@ -90,9 +99,10 @@ def series_of(
 
 
 class Points:
-    """A series of every row."""
+    """A series of every row, with some further targets."""
 
-    def __init__(self) -> None:
+    def __init__(self, targets: Sequence[str] = ()) -> None:
+        self._targets = tuple(targets)
         self._times: list[TimeArray] = []
         self._shown: list[FloatArray] = []
         self._withheld: list[BoolArray] = []
@@ -101,30 +111,34 @@ class Points:
         """Take rows, in the order of their slots."""
         flags = np.array(rows.values["flag"], dtype=np.int8)
         self._times.append(utc_array(rows.values["slot_utc"]))
-        self._shown.append(_shown(rows.numbers(*_VALUES, *_MOTION), flags))
+        self._shown.append(_shown(_numbers(rows, self._targets), flags))
         self._withheld.append(flags == Flag.BAD)
 
     def series(self) -> Series:
         """What was taken."""
         times = np.concatenate([np.empty(0, "datetime64[us]"), *self._times])
-        shown = np.concatenate([np.empty((0, _WIDTH)), *self._shown])
-        return _series(times, shown, np.concatenate([np.empty(0, np.bool_), *self._withheld]))
+        shown = np.concatenate([np.empty((0, _width(self._targets))), *self._shown])
+        withheld = np.concatenate([np.empty(0, np.bool_), *self._withheld])
+        return _series(times, shown, withheld, self._targets)
 
 
 class Envelope:
     """The lowest and the highest value of each of equal spans of time: no peak is lost."""
 
-    def __init__(self, since_utc: datetime, until_utc: datetime) -> None:
+    def __init__(
+        self, since_utc: datetime, until_utc: datetime, targets: Sequence[str] = ()
+    ) -> None:
+        self._targets = tuple(targets)
         self._begin = np.datetime64(since_utc.replace(tzinfo=None), "us")
         self._bin_s = (until_utc - since_utc).total_seconds() / BINS
-        self._low = np.full((BINS, _WIDTH), np.nan)
-        self._high = np.full((BINS, _WIDTH), np.nan)
+        self._low = np.full((BINS, _width(self._targets)), np.nan)
+        self._high = self._low.copy()
         self._withheld = np.zeros(BINS, dtype=np.bool_)
 
     def add(self, rows: Columns) -> None:
         """Take rows, in the order of their slots."""
         flags = np.array(rows.values["flag"], dtype=np.int8)
-        shown = _shown(rows.numbers(*_VALUES, *_MOTION), flags)
+        shown = _shown(_numbers(rows, self._targets), flags)
         since_s = (utc_array(rows.values["slot_utc"]) - self._begin) / np.timedelta64(1, "s")
         bins = np.clip(since_s // self._bin_s, 0, BINS - 1).astype(np.int64)
         firsts = np.flatnonzero(np.diff(bins, prepend=-1))
@@ -139,19 +153,31 @@ class Envelope:
         times = self._begin + middles.astype("timedelta64[us]")
         shown = np.stack([self._low, self._high], axis=1)
         shown[:, :, _LOWER] = self._low[:, None, _LOWER]
-        shown[:, :, _UPPER] = self._high[:, None, _UPPER]
-        points = shown.reshape(2 * BINS, _WIDTH)
-        return _series(np.repeat(times, 2), points, np.repeat(self._withheld, 2), bin_s=self._bin_s)
+        for upper in (_UPPER, _CLOSURE_SIGMA):
+            shown[:, :, upper] = self._high[:, None, upper]
+        points, withheld = shown.reshape(2 * BINS, -1), np.repeat(self._withheld, 2)
+        return _series(np.repeat(times, 2), points, withheld, self._targets, bin_s=self._bin_s)
 
 
 _RAW, _CORRECTED, _LOWER, _UPPER = slice(0, 2), slice(2, 4), slice(4, 6), slice(6, 8)
 _ROTATION, _TRANSLATION, _SUSPECT = slice(8, 11), slice(11, 14), slice(14, 16)
-_WIDTH = 16
-"""Where the columns of a series stand in one array."""
+_CLOSURES, _CLOSURE_SIGMA, _FURTHER = slice(16, 18), slice(18, 20), 20
+"""Where the columns of a series stand in one array; two for each further target come last."""
+
+
+def _width(targets: Sequence[str]) -> int:
+    return _FURTHER + 2 * len(targets)
+
+
+def _numbers(rows: Columns, targets: Sequence[str]) -> FloatArray:
+    """(n, 16 + 2 targets) numbers of rows: `_VALUES`, `_MOTION`, `_CLOSURE`, further targets."""
+    own = rows.numbers(*_VALUES, *_MOTION, *_CLOSURE)
+    further = values_of_targets(rows.values["targets"], targets, ("x_mm", "y_mm"))
+    return np.hstack([own, *(np.array([v], dtype=np.float64).T for v in further.values())])
 
 
 def _shown(values: FloatArray, flags: npt.NDArray[np.int8]) -> FloatArray:
-    """(n, 16) what is drawn, of `_VALUES` and `_MOTION`."""
+    """(n, 20 + 2 targets) what is drawn, of `_numbers`."""
     corrected_mm, sigma_mm = values[:, 2:4], values[:, 4:6]
     suspect_mm = np.where((flags == Flag.SUSPECT)[:, None], corrected_mm, np.nan)
     return np.hstack(
@@ -162,6 +188,7 @@ def _shown(values: FloatArray, flags: npt.NDArray[np.int8]) -> FloatArray:
             1e3 * values[:, 6:9],
             values[:, 9:12],
             suspect_mm,
+            values[:, 12:],
         ]
     )
 
@@ -170,6 +197,7 @@ def _series(
     times: TimeArray,
     shown: FloatArray,
     withheld: BoolArray,
+    targets: Sequence[str] = (),
     true_mm: FloatArray | None = None,
     bin_s: float | None = None,
 ) -> Series:
@@ -183,6 +211,12 @@ def _series(
         translation_mm=shown[:, _TRANSLATION],
         suspect_mm=shown[:, _SUSPECT],
         withheld=withheld,
+        closure_mm=shown[:, _CLOSURES],
+        closure_sigma_mm=shown[:, _CLOSURE_SIGMA],
+        targets_mm={
+            name: shown[:, _FURTHER + 2 * k : _FURTHER + 2 * k + 2]
+            for k, name in enumerate(targets)
+        },
         true_mm=true_mm,
         bin_s=bin_s,
     )

@@ -11,7 +11,7 @@ from typing import Any
 
 from core.results import Flag
 from daemon.store.checksum import DIGEST
-from daemon.store.columns import BATCH, Columns, Tell, read_columns, target_names
+from daemon.store.columns import BATCH, Columns, Tell, read_columns, target_roles
 from daemon.store.convert import RESULT_COLUMNS
 from daemon.store.database import Store
 from daemon.store.records import GapRecord
@@ -20,8 +20,8 @@ from daemon.store.schema import Kind, MeasurementRow, kind_of
 from daemon.store.targets import (
     TARGET_COLUMNS,
     columns_of_target,
-    stored_targets,
     target_of_column,
+    values_of_targets,
 )
 from daemon.times import slot_text
 
@@ -61,7 +61,7 @@ def slot_table(store: Store, since: datetime, until: datetime, tell: Tell) -> Sl
     rows give them. Raises StoreError; DatabaseDamagedError, at the latest as the batches are read,
     names the first row that is not what was written.
     """
-    targets = target_names(store.path, since, until)
+    targets = list(target_roles(store.path, since, until))
     columns = (column for name in targets for column in columns_of_target(name, TARGET_COLUMNS))
     batches = _batches(store, since, until, tell, targets)
     return SlotTable((*COLUMNS[:-1], *columns, DETAIL), batches)
@@ -129,23 +129,10 @@ def _joined(
     every = [*slots, *of_gaps.get("slot_utc", ())]
     order = sorted(range(len(every)), key=every.__getitem__) if missed else None
     measured_columns = {name: rows.values[name][part] for name in COLUMNS if name in rows.values}
-    measured_columns |= _targets(rows.values.get(TARGETS, ())[part], targets)
+    measured_columns |= values_of_targets(rows.values.get(TARGETS, ())[part], targets)
     table: dict[str, Sequence[Any]] = {}
     for name in dict.fromkeys((*COLUMNS, *measured_columns)):
         measured_values = measured_columns.get(name, [None] * len(slots))
         values = [*measured_values, *of_gaps.get(name, none)]
         table[name] = values if order is None else [values[place] for place in order]
     return Columns(table)
-
-
-def _targets(texts: Sequence[str | None], names: Sequence[str]) -> dict[str, Sequence[Any]]:
-    """What the rows say of each further target, as columns."""
-    if not names:
-        return {}
-    rows = [{found["name"]: found for found in stored_targets(text)} for text in texts]
-    nothing: dict[str, Any] = {}
-    return {
-        column: [row.get(name, nothing).get(key) for row in rows]
-        for name in names
-        for key, column in zip(TARGET_COLUMNS, columns_of_target(name, TARGET_COLUMNS), strict=True)
-    }

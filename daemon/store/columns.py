@@ -76,23 +76,25 @@ def read_columns(
             limits[0] = batch.values["slot_utc"][-1]
 
 
-def target_names(path: Path, since: datetime, until: datetime) -> list[str]:
-    """The further targets of the rows with since <= slot < until, those of the newest row first.
+def target_roles(path: Path, since: datetime, until: datetime) -> dict[str, str]:
+    """The role of each further target that rows with since <= slot < until name.
 
-    Raises StoreError. Damaged rows are passed over: who reads them is given the error.
+    In the order of the config, those of the newest row first. Damaged rows are passed over: who
+    reads them is given the error. Raises StoreError.
     """
     query = (
-        "SELECT json_extract(targets, found.fullkey || '.name'), max(slot_utc), found.key"
+        "SELECT json_extract(targets, found.fullkey || '.name'),"
+        " json_extract(targets, found.fullkey || '.role'), max(slot_utc), found.key"
         " FROM measurement,"
         " json_each(CASE WHEN json_valid(targets) THEN targets ELSE '[]' END) AS found"
         " WHERE targets IS NOT NULL AND slot_utc >= ? AND slot_utc < ?"
-        " GROUP BY 1 ORDER BY 2 DESC, 3"
+        " GROUP BY 1 ORDER BY 3 DESC, 4"
     )
     limits = [slot_text(next_second(time)) for time in (since, until)]
     with said_plainly(path), closing(connect_readonly(path)) as connection:
         connection.text_factory = any_text
         _, rows = _fetch(connection, query, limits)
-    return [name for name, _, _ in rows if isinstance(name, str)]
+    return {name: str(role) for name, role, _, _ in rows if isinstance(name, str)}
 
 
 def _batch(connection: sqlite3.Connection, query: str, limits: Sequence[str]) -> Columns | None:

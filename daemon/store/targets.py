@@ -86,3 +86,18 @@ def target_of_column(column: str) -> tuple[str, str] | None:
 def columns_of_target(name: str, keys: Iterable[str]) -> tuple[str, ...]:
     """The names that a target's values have in tables."""
     return tuple(f"{name}_{key}" for key in keys)
+
+
+def values_of_targets(
+    texts: Sequence[str | None], names: Sequence[str], keys: Sequence[str] = TARGET_COLUMNS
+) -> dict[str, list[Any]]:
+    """What many rows say of some further targets, as a table's columns; None where nothing."""
+    if not names:
+        return {}
+    rows = [{found["name"]: found for found in stored_targets(text)} for text in texts]
+    nothing: dict[str, Any] = {}
+    return {
+        column: [row.get(name, nothing).get(key) for row in rows]
+        for name in names
+        for key, column in zip(keys, columns_of_target(name, keys), strict=True)
+    }

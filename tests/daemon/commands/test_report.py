@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
 
+from core.results import Flag
+from daemon.reports import history
 from daemon.store.database import open_store
 from daemon.store.records import GapCause
 from tests.daemon.commands.conftest import SIMULATED, Ctl
-from tests.daemon.store.examples import calibration, full_record, record, slot
+from tests.daemon.store.examples import (
+    BAD,
+    FIXED,
+    calibration,
+    full_measurement,
+    full_record,
+    record,
+    slot,
+)
 
 
 @pytest.fixture
@@ -37,6 +49,29 @@ def test_plot_draws_png_and_svg(site, tmp_path: Path) -> None:
     assert ET.parse(tmp_path / "a.svg").getroot().tag.endswith("svg")
 
 
+@pytest.mark.parametrize("rows", [9, 12])
+def test_plot_draws_the_closure_and_the_measured_targets(
+    ctl: Ctl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: int
+) -> None:
+    """Whether every row is a point or, of many, their envelope; without them there is neither."""
+    monkeypatch.setattr(history, "MOST_POINTS", 10)
+    for name, measurement in (
+        ("further", full_measurement()),
+        ("none", replace(full_measurement(), closure=None, targets=())),
+    ):
+        (tmp_path / f"{name}.toml").write_text(SIMULATED, encoding="utf-8")
+        with open_store(tmp_path / name) as store:
+            for minute in range(rows):
+                store.add_measurement(record(slot(minute), measurement))
+        paths = ("--config", tmp_path / f"{name}.toml", "--state", tmp_path / name)
+        assert ctl("plot", "--output", tmp_path / f"{name}.svg", *paths).code == 0
+    drawn, without = ((tmp_path / f"{name}.svg").read_text() for name in ("further", "none"))
+    words = ("<!-- closure (mm) -->", "<!-- closure y -->", "<!-- quarter-span -->")
+    assert [drawn.count(word) for word in words] == [1, 1, 2]  # a measured one in x and in y
+    assert "<!-- abutment -->" not in drawn
+    assert [without.count(word) for word in words] == [0, 0, 0]
+
+
 def test_report_is_one_file_that_tells_everything(site, tmp_path: Path) -> None:
     ran = site("report", "--output", tmp_path / "a.html")
     assert ran.code == 0
@@ -49,10 +84,31 @@ def test_report_is_one_file_that_tells_everything(site, tmp_path: Path) -> None:
         "main_target_partly_hidden",
         "Good to 0.05 mm.",
         "data:image/png;base64,",
+        "<td>measured</td>",
+        "quarter-span</td>",
+        "closure x, y, rms",
+        '<td class="n">0.030, 0.040</td><td class="n">0.100, 0.150</td>',
     ):
         assert fact in page
     assert "http://" not in page
     assert "https://" not in page
+
+
+def test_a_report_counts_the_good_rows_of_each_further_target(ctl: Ctl, tmp_path: Path) -> None:
+    (tmp_path / "dcam.toml").write_text(SIMULATED, encoding="utf-8")
+    suspect = replace(FIXED, flag=Flag.SUSPECT)
+    with open_store(tmp_path / "state") as store:
+        store.add_calibration(calibration(), activate=True)
+        for minute, target in enumerate((FIXED, FIXED, suspect)):
+            store.add_measurement(record(slot(minute), replace(BAD, targets=(target,))))
+    paths = ("--config", tmp_path / "dcam.toml", "--state", tmp_path / "state")
+    assert ctl("report", "--output", tmp_path / "a.html", *paths).code == 0
+    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    line = page[page.index("abutment</td>") :].partition("</tr>")[0]
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", line)
+    pair = "+0.030, -0.040"
+    assert cells == ["fixed", "3", "2", pair, pair, pair, "0.100, 0.150"]
+    assert "closure x, y" not in page
 
 
 @pytest.mark.parametrize("command", ["plot", "report"])
@@ -91,4 +147,4 @@ def test_a_row_alone_between_gaps_is_drawn(ctl: Ctl, tmp_path: Path) -> None:
         for use in ET.parse(tmp_path / "a.svg").getroot().iter("{http://www.w3.org/2000/svg}use")
         if "fill: #0072b2" in use.get("style", "")
     ]
-    assert len(dots) == 3 * 4  # three rows; x, y, and the blue axis of both motions
+    assert len(dots) == 3 * 5  # three rows; x, y, closure and the blue axis of both motions
