@@ -12,11 +12,16 @@ from core.arrays import BoolArray, FloatArray
 from core.geometry.pose import Pose
 from core.planning.planned_site import OUTLINE, CalibrationPlan, PlannedSite
 from core.rig.compensation import AFFINE_LIMIT_PX, affine_error_px
+from core.site import CirclesTarget, ExtraTarget, Site, TargetRole
 
 FEW_PX_SQUARE = 12.0
 """Smaller squares have edges that overlap in a blurred image."""
 FEW_PX_DISC = 12.0
 """Likewise the diameter of a disc."""
+ALIKE_SIZE = 1.5
+"""Targets whose sizes in the image differ by more are told apart by that."""
+ALIKE_SHARE = 0.1
+"""Share of a layout's size within which discs stand alike in two layouts."""
 _SHIFT_STEP_MM = 0.01
 """To this the travel of the rig is searched; it is printed to 0.1 mm."""
 
@@ -73,6 +78,101 @@ def field_of_view(planned: PlannedSite) -> FieldOfView:
         limits.expected_drift_mrad * 1e-3 * target.distance_mm + limits.expected_drift_mm,
         affine_error_px(target.distance_mm, limits.expected_drift_mm, off_axis),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class FurtherView:
+    """How the main camera sees a further target."""
+
+    name: str
+    role: TargetRole
+    distance_mm: float
+    px_per_mm: float
+    field_mm: FloatArray
+    """(2,) width and height of the main image at its distance."""
+    disc_px: float
+    """Diameter of the smallest disc."""
+    drift_mm: float
+    """What the expected drift alone moves it in the image, worst direction."""
+    travel_mm: FloatArray | None
+    """(2,) how far it may move in x and in y before it leaves the image; None where the config does
+    not say where it is."""
+
+
+def further_views(site: Site) -> tuple[FurtherView, ...]:
+    """Work out what is seen of each further target."""
+    return tuple(_further_view(site, extra) for extra in site.extra_targets)
+
+
+def _further_view(site: Site, extra: ExtraTarget) -> FurtherView:
+    target, limits = extra.target, site.quality
+    scale = site.main.focal_px / target.distance_mm
+    size_px = np.array([site.main.width_px, site.main.height_px], dtype=float)
+    travel = None
+    if extra.position_px is not None:
+        middle = (target.centres_mm.min(axis=0) + target.centres_mm.max(axis=0)) / 2.0
+        radius_mm = OUTLINE * 0.5 * float(target.diameters_mm.max())
+        reach_mm = np.abs(target.centres_mm - middle).max(axis=0) + radius_mm
+        edge_px = np.minimum(extra.position_px + 0.5, size_px - 0.5 - extra.position_px)
+        travel = np.maximum(edge_px / scale - reach_mm, 0.0)
+    return FurtherView(
+        extra.name,
+        extra.role,
+        target.distance_mm,
+        scale,
+        size_px / scale,
+        float(target.diameters_mm.min()) * scale,
+        limits.expected_drift_mrad * 1e-3 * target.distance_mm + limits.expected_drift_mm,
+        travel,
+    )
+
+
+def further_warnings(site: Site) -> Iterator[str]:
+    """Say which further targets will not be seen well, with what to do."""
+    for view in further_views(site):
+        if view.disc_px < FEW_PX_DISC:
+            yield (
+                f"target {view.name}: a disc is only {view.disc_px:.1f} px across, "
+                f"{FEW_PX_DISC:.0f} px are needed: larger discs"
+            )
+        if view.travel_mm is not None and view.travel_mm.min() <= view.drift_mm:
+            yield (
+                f"target {view.name}: the expected drift moves it by {view.drift_mm:.0f} mm in the "
+                f"image, {view.travel_mm.min():.0f} mm are free: hang it nearer to the middle of "
+                "the image"
+            )
+    yield from _alike_warnings(site)
+
+
+def _alike_warnings(site: Site) -> Iterator[str]:
+    """Targets of one layout and about one size in the image need their places."""
+    known: list[tuple[str, FloatArray]] = [("the main target", _outline_px(site, site.main_target))]
+    for extra in site.extra_targets:
+        outline_px = _outline_px(site, extra.target)
+        alike = [name for name, other in known if _look_alike(outline_px, other)]
+        if alike and extra.position_px is None:
+            yield (
+                f"target {extra.name} looks like {alike[0]} in the image: write its position_px, "
+                "about where its middle is in the image, or give it another layout"
+            )
+        known.append((f"target {extra.name}", outline_px))
+
+
+def _outline_px(site: Site, target: CirclesTarget) -> FloatArray:
+    """(n, 2) the discs about their middle, in px, as seen from the front."""
+    places = target.centres_mm * (site.main.focal_px / target.distance_mm)
+    return np.asarray(places - places.mean(axis=0))
+
+
+def _look_alike(one: FloatArray, other: FloatArray) -> bool:
+    """Whether two layouts are the same but for some of their size."""
+    if len(one) != len(other):
+        return False
+    size, other_size = (np.ptp(places, axis=0).max() for places in (one, other))
+    if max(size, other_size) > ALIKE_SIZE * min(size, other_size):
+        return False
+    away = np.hypot(*np.moveaxis(one[:, None] / size - other[None] / other_size, -1, 0))
+    return bool((away.min(axis=1) < ALIKE_SHARE).all())
 
 
 def _shift_to_half(planned: PlannedSite, axis: int) -> float:

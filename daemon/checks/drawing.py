@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from core.planning.field_of_view import further_views, further_warnings
 from core.rig.compensation import affine_error_px
 from core.site import RigPrior, Site
 from daemon.checks.finding import Finding
@@ -40,11 +41,23 @@ def check_drawing(site: Site) -> Iterator[Finding]:
     eq5_px = affine_error_px(target.distance_mm, drift.expected_drift_mm, off_axis_px)
     state: Literal["ok", "warning"] = "ok" if eq5_px < 1.0 else "warning"
     yield Finding("Eq. 5", state, f"{eq5_px:.3f} px, must be below 1 px for --method paper")
+    yield from _further_targets(site)
     yield from _rig(site)
     square_px = site.sub_target.square_mm * site.sub.focal_px / site.sub_target.distance_mm
     seen = min(site.sub.width_px, site.sub.height_px) / square_px
     text = f"{square_px:.1f} px a square, {seen:.0f} squares across the shorter side"
     yield Finding("sub image", "ok", text)
+
+
+def _further_targets(site: Site) -> Iterator[Finding]:
+    for view in further_views(site):
+        room = ""
+        if view.travel_mm is not None:
+            room = f", it may move {view.travel_mm.min():.0f} mm before it leaves the image"
+        text = f"{view.px_per_mm:.3g} px/mm at {view.distance_mm:g} mm, {view.role}{room}"
+        yield Finding(f"target {view.name}", "ok", text)
+    for warning in further_warnings(site):
+        yield Finding("further targets", "warning", warning)
 
 
 def _rig(site: Site) -> Iterator[Finding]:

@@ -11,7 +11,14 @@ import numpy as np
 from core.calibration.observability import suggest_motion
 from core.errors import CoreError
 from core.geometry.pose import Pose
-from core.planning.field_of_view import FieldOfView, field_of_view, planning_warnings
+from core.planning.field_of_view import (
+    FieldOfView,
+    FurtherView,
+    field_of_view,
+    further_views,
+    further_warnings,
+    planning_warnings,
+)
 from core.planning.planned_site import CalibrationPlan, ImageQuality, PlannedSite
 from core.planning.predicted_accuracy import (
     ErrorCause,
@@ -137,11 +144,11 @@ def make_plan(
         calibrated = predict_calibration(planned, calibration_plan)
         rows = drift_rows(planned, calibrated)
     except CoreError as error:
-        warnings = tuple(planning_warnings(planned, calibration_plan, view))
+        warnings = _warnings(planned, calibration_plan, view)
         return Plan(site, calibration_plan, view, None, (), (), None, warnings, str(error))
     predicted = predict_accuracy(rows, calibrated.posterior)
     warnings = (
-        *planning_warnings(planned, calibration_plan, view),
+        *_warnings(planned, calibration_plan, view),
         *_sigma_warnings(predicted, site),
     )
     return Plan(
@@ -154,6 +161,13 @@ def make_plan(
         suggest_motion(calibrated, site),
         warnings,
     )
+
+
+def _warnings(
+    planned: PlannedSite, calibration_plan: CalibrationPlan, view: FieldOfView
+) -> tuple[str, ...]:
+    drawn = planning_warnings(planned, calibration_plan, view)
+    return (*drawn, *further_warnings(planned.site))
 
 
 def _sigma_warnings(predicted: PredictedAccuracy, site: Site) -> tuple[str, ...]:
@@ -184,6 +198,10 @@ def say_plan(plan: Plan) -> None:
     """Print a plan for a person."""
     print_table(("as drawn", "main camera", "sub-camera"), _camera_rows(plan))
     say()
+    if plan.site.extra_targets:
+        columns = ("further target", "distance", "scale", "field of view", "discs", "room")
+        print_table(columns, [_further_row(view) for view in further_views(plan.site)])
+        say()
     for line in _room_lines(plan):
         say(line)
     if plan.predicted is not None:
@@ -217,6 +235,17 @@ def _camera_rows(plan: Plan) -> list[tuple[str, str, str]]:
             f"{view.corners_seen} of {view.corners} corners",
         ),
     ]
+
+
+def _further_row(view: FurtherView) -> tuple[str, ...]:
+    return (
+        f"{view.name}, {view.role}",
+        f"{view.distance_mm:g} mm",
+        f"{view.px_per_mm:.3g} px/mm",
+        _times(view.field_mm),
+        f"{view.disc_px:.0f} px",
+        "no position_px" if view.travel_mm is None else _pair(view.travel_mm),
+    )
 
 
 def _times(size_mm: Any) -> str:
@@ -305,6 +334,10 @@ def plan_fields(plan: Plan) -> dict[str, Any]:
         }
     return {
         **view,
+        "further_targets": [
+            {f.name: _plain(getattr(further, f.name)) for f in fields(further)}
+            for further in further_views(plan.site)
+        ],
         "lens_views": plan.calibration_plan.lens_views,
         "positions_deg": [list(position) for position in plan.calibration_plan.positions_deg],
         "predicted": predicted,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 
@@ -49,6 +49,8 @@ class Ruler:
 class Sheet:
     """One finished page."""
 
+    targets: tuple[str, ...]
+    """The names of the targets that it is printed for."""
     page: str
     """A4, A3, or its size in mm."""
     page_mm: tuple[float, float]
@@ -95,37 +97,45 @@ def board_sheet(target: CheckerboardTarget, site_name: str, version: str) -> She
     page.squares(target, left, top)
     page.corners()
     page.origin_mark(layout.box_mm[0], layout.box_mm[1])
-    return page.finished(notes, (left, top))
+    return page.finished(("sub",), notes, (left, top))
 
 
-def discs_sheet(target: CirclesTarget, site_name: str, version: str) -> Sheet:
-    """Draw the white discs on black, as the main camera sees them.
+def discs_sheet(targets: Mapping[str, CirclesTarget], site_name: str, version: str) -> Sheet:
+    """Draw the white discs on black, as the main camera sees them, of targets of one layout.
 
     Raises WorkFailedError if the plate is larger than a page can be.
     """
+    first, target = next(iter(targets.items()))
+    distances = ", ".join(dict.fromkeys(f"{one.distance_mm:g}" for one in targets.values()))
     centres, diameters = target.centres_mm, target.diameters_mm
     margin = PLATE_DIAMETERS * float(diameters.max())
     low, high = centres.min(axis=0) - margin, centres.max(axis=0) + margin
     sizes = sorted({float(d) for d in diameters})
     notes = [
-        f"dcam {version}, site {site_name}: target of the main camera",
+        f"dcam {version}, site {site_name}: target of the main camera{_names_note(targets)}",
         f"{len(centres)} white discs of {', '.join(f'{d:g}' for d in sizes)} mm on black",
-        f"{high[0] - low[0]:g} x {high[1] - low[1]:g} mm, read from {target.distance_mm:g} mm",
+        f"{high[0] - low[0]:g} x {high[1] - low[1]:g} mm, read from {distances} mm",
         *_centre_notes(centres),
         "UP is up on the bridge, seen from the camera; it faces the camera to a few degrees.",
         "Mount: matt, flat, glued all over on aluminium or glass, not on foam or card; no gloss.",
         *_print_notes(),
     ]
     width, height = float(high[0] - low[0]), float(high[1] - low[1])
-    layout = _lay_out("main target", width, height, len(notes))
+    layout = _lay_out(f"{first} target", width, height, len(notes))
     left, top = layout.box_mm[:2]
     origin = (left - float(low[0]), top + float(high[1]))
-    page = _Page(layout, f"dcam {site_name} main target")
+    page = _Page(layout, f"dcam {site_name} {first} target")
     page.plate()
     for (x, y), diameter in zip(centres, diameters, strict=True):
         page.disc(origin[0] + float(x), origin[1] - float(y), 0.5 * float(diameter))
     page.up_mark(left + 0.5 * width, top)
-    return page.finished(notes, origin)
+    return page.finished(tuple(targets), notes, origin)
+
+
+def _names_note(names: Iterable[str]) -> str:
+    """Which targets of the config a print is for; the main target alone needs no name."""
+    named = [f"[target.{name}]" if name == "main" else name for name in names]
+    return "" if named == ["[target.main]"] else f": {', '.join(named)}"
 
 
 def _print_notes() -> tuple[str, str]:
@@ -235,7 +245,9 @@ class _Page:
         self._line(x, y - 7.0, x + 1.2, y - 5.0)
         self._text(x + 3.0, y - 3.0, "UP", 4.0)
 
-    def finished(self, notes: Sequence[str], origin_mm: tuple[float, float]) -> Sheet:
+    def finished(
+        self, targets: tuple[str, ...], notes: Sequence[str], origin_mm: tuple[float, float]
+    ) -> Sheet:
         """Add rulers and notes, and close the page."""
         layout = self._layout
         for ruler in layout.rulers:
@@ -245,7 +257,8 @@ class _Page:
             self._text(layout.box_mm[0], baseline, note, 3.0)
         self._canvas.showPage()
         self._canvas.save()
-        return Sheet(layout.page, layout.page_mm, origin_mm, layout.rulers, self._buffer.getvalue())
+        pdf = self._buffer.getvalue()
+        return Sheet(targets, layout.page, layout.page_mm, origin_mm, layout.rulers, pdf)
 
     def _ruler(self, ruler: Ruler) -> None:
         """A tick each mm, its middle on the mark."""
