@@ -102,6 +102,8 @@ def say_look(look: dict[str, Any]) -> None:
         tx, ty, tz = (row[name] for name in ("tx_mm", "ty_mm", "tz_mm"))
         say(f"rig rotation x {rx:+.4f}, y {ry:+.4f}, z {rz:+.4f} mrad")
         say(f"rig shift    x {tx:+.4f}, y {ty:+.4f}, z {tz:+.4f} mm")
+    for target in row.get("targets", []):  # an older dcamd gives none
+        say(f"{target['name']:<12} {target['role']}, {_value(target)}")
     say(f"seen         {seen['discs']} discs, {seen['corners']} corners")
     for problem in look.get("problems", []):  # an older dcamd gives none
         say(f"problem      {problem}")
@@ -114,7 +116,7 @@ def say_look(look: dict[str, Any]) -> None:
 
 
 def _value(row: dict[str, Any]) -> str:
-    """A displacement, or why there is none, in a few words; as `wording.value_text`."""
+    """A displacement, or why there is none, in a few words; as `daemon.text.value_text`."""
     why, flag = "+".join(row["reasons"]), Flag(row["flag"])
     if row["x_mm"] is None:
         return f"no value ({flag.name.lower()}: {why})"
