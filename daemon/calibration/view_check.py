@@ -12,14 +12,16 @@ from scipy.spatial import cKDTree
 from core.arrays import FloatArray
 from core.checkerboard.corners import LocatedBoard
 from core.discs.disc_finder import Discs
-from core.errors import CoreError, NotRecognisedError
+from core.discs.plates import find_plates
+from core.errors import CoreError, NotRecognisedError, TargetNotFoundError
 from core.images import GreyImage
 from core.recognition import (
     board_doubt,
     disc_doubt,
     recognise_board,
-    recognise_discs,
     recognise_mounted_board,
+    recognise_targets,
+    wanted_plates,
 )
 from core.site import Site
 from daemon.errors import HardwareError
@@ -47,6 +49,8 @@ class ViewCheck:
     board: LocatedBoard | None
     problems: tuple[str, ...]
     """What makes the pair useless for a calibration, one line each: what, and what to do."""
+    further: tuple[Discs | None, ...] = ()
+    """The further targets in the order of the config; None where one is not seen."""
 
 
 def see_pair(pair: CapturedPair, site: Site) -> ViewCheck:
@@ -54,15 +58,16 @@ def see_pair(pair: CapturedPair, site: Site) -> ViewCheck:
     main, sub = GreyImage(pair.main.pixels, pair.main.bits), _sub_image(pair)
     problems: list[str] = []
     discs = board = None
+    further: tuple[Discs | None, ...] = ()
     try:
-        discs = recognise_discs(main, site)
+        discs, further = recognise_targets(main, site)
         problems += _main_problems(main, discs)
         doubt = disc_doubt(main, discs, site)
         problems += [] if doubt is None else [str(doubt)]
-    except NotRecognisedError as error:
-        problems.append(str(error))
     except CoreError as error:
-        problems.append(f"{error}; aim, focus and light the main camera")
+        known = isinstance(error, NotRecognisedError)
+        problems.append(f"{error}{'' if known else '; aim, focus and light the main camera'}")
+        further = _further_alone(main, site)
     try:
         board = recognise_mounted_board(sub, site)
         problems += _sub_problems(sub, board)
@@ -72,7 +77,16 @@ def see_pair(pair: CapturedPair, site: Site) -> ViewCheck:
         problems.append(str(error))
     except CoreError as error:
         problems.append(f"{error}; aim, focus and light the sub-camera")
-    return ViewCheck(pair, discs, board, tuple(problems))
+    return ViewCheck(pair, discs, board, tuple(problems), further)
+
+
+def _further_alone(image: GreyImage, site: Site) -> tuple[Discs | None, ...]:
+    """The further targets where the main one is not seen."""
+    try:
+        found = find_plates(image, wanted_plates(site)) if site.extra_targets else [None]
+    except TargetNotFoundError:
+        return (None,) * len(site.extra_targets)
+    return tuple(found[1:])
 
 
 def see_board(pair: CapturedPair, site: Site) -> ViewCheck:

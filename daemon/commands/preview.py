@@ -59,6 +59,7 @@ def command(options: Options, port: int, interval_s: float, looks: int | None) -
                 f"{role}: {seen.found}{blur}, focus {seen.focus:.4f} (best {best[role]:.4f}), "
                 f"brightest {seen.brightest:.0%}"
             )
+            parts += (f"{further.name}: {further.text}" for further in seen.further)
         return " | ".join(parts)
 
     with suppress(KeyboardInterrupt), ExitStack() as opened:

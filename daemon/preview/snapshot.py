@@ -11,7 +11,7 @@ import numpy as np
 from core.arrays import FloatArray
 from core.discs.disc_finder import Discs
 from core.images import GreyImage
-from core.site import CirclesTarget, Site
+from core.site import CirclesTarget, Site, TargetRole
 from daemon.calibration.view_check import ViewCheck, see_pair
 from drivers.protocols import CapturedFrame, CapturedPair, Role
 
@@ -20,6 +20,18 @@ DETAIL_PX = 480
 """Side of the part whose pixels are shown as they are, where focus can be judged by eye."""
 BINS = 64
 _GREEN = (80, 200, 60)
+
+
+@dataclass(frozen=True, slots=True)
+class FurtherLook:
+    """A further target."""
+
+    name: str
+    role: TargetRole
+    is_found: bool
+    """All of it."""
+    text: str
+    """How much of it is found, and where its middle is in the image."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +44,8 @@ class CameraLook:
     """How much of the target is found, or why it is not."""
     problems: tuple[str, ...]
     """What is to be mended before a calibration."""
+    further: tuple[FurtherLook, ...]
+    """Of the main camera: the further targets, in the order of the config."""
     focus: float
     """Figure of merit, greatest in focus; only to be compared with itself, see `focus_figure`."""
     blur_px: float | None
@@ -70,7 +84,7 @@ def take_snapshot(pair: CapturedPair, site: Site, time_utc: datetime) -> Snapsho
     """Look for the targets in a pair and make everything that is shown of it."""
     check = see_pair(pair, site)
     seen: dict[Role, _Seen] = {
-        "main": _seen_discs(pair.main, check.discs, site.main_target),
+        "main": _seen_targets(pair.main, check, site),
         "sub": _seen_board(pair.sub, None if check.board is None else check.board.view.points_px),
     }
     pictures: dict[str, bytes] = {}
@@ -78,7 +92,7 @@ def take_snapshot(pair: CapturedPair, site: Site, time_utc: datetime) -> Snapsho
         pictures[f"{role}.jpg"] = _overview(of_camera)
         pictures[f"{role}_detail.png"] = _detail(of_camera)
     cameras: dict[Role, CameraLook] = {
-        role: _camera(role, of_camera, check) for role, of_camera in seen.items()
+        role: _camera(role, of_camera, check, site) for role, of_camera in seen.items()
     }
     return Snapshot(time_utc, cameras, pictures)
 
@@ -94,14 +108,33 @@ class _Seen:
     """(2,) of the target; None while it is not found."""
 
 
-def _seen_discs(frame: CapturedFrame, discs: Discs | None, target: CirclesTarget) -> _Seen:
-    """The middle is that of all discs, also where some are hidden: by an affine map."""
-    if discs is None:
-        return _Seen(frame, np.empty((0, 2)), None)
+def _seen_targets(frame: CapturedFrame, check: ViewCheck, site: Site) -> _Seen:
+    """What is found of all targets, and the middle of the main one."""
+    found = [discs.points_px[discs.found] for discs in (check.discs, *check.further) if discs]
+    points_px = np.concatenate([np.empty((0, 2)), *found])
+    middle_px = None if check.discs is None else _middle_px(check.discs, site.main_target)
+    return _Seen(frame, points_px, middle_px)
+
+
+def _middle_px(discs: Discs, target: CirclesTarget) -> FloatArray:
+    """(2,) of all discs of a target, also where some are hidden: by an affine map."""
     points_px, centres_mm = discs.points_px[discs.found], target.centres_mm
     middle_mm = (centres_mm.min(axis=0) + centres_mm.max(axis=0)) / 2.0
     places = np.column_stack([centres_mm[discs.found] - middle_mm, np.ones(len(points_px))])
-    return _Seen(frame, points_px, np.linalg.lstsq(places, points_px, rcond=None)[0][2])
+    middle: FloatArray = np.linalg.lstsq(places, points_px, rcond=None)[0][2]
+    return middle
+
+
+def _further_looks(check: ViewCheck, site: Site) -> tuple[FurtherLook, ...]:
+    looks = []
+    for extra, discs in zip(site.extra_targets, check.further, strict=True):
+        text, is_found = "not found", False
+        if discs is not None:
+            x_px, y_px = _middle_px(discs, extra.target)
+            count, is_found = int(discs.found.sum()), bool(discs.found.all())
+            text = f"{count} of {len(discs.found)} discs found, position_px {x_px:.0f}, {y_px:.0f}"
+        looks.append(FurtherLook(extra.name, extra.role, is_found, text))
+    return tuple(looks)
 
 
 def _seen_board(frame: CapturedFrame, points_px: FloatArray | None) -> _Seen:
@@ -126,7 +159,7 @@ def focus_figure(image: GreyImage) -> float:
     return float(cv2.Laplacian(smooth, cv2.CV_32F).var()) / max(float(smooth.var()), 1.0)
 
 
-def _camera(role: Role, seen: _Seen, check: ViewCheck) -> CameraLook:
+def _camera(role: Role, seen: _Seen, check: ViewCheck, site: Site) -> CameraLook:
     frame = seen.frame
     image = GreyImage(frame.pixels, frame.bits)
     height_px, width_px = frame.pixels.shape
@@ -141,6 +174,7 @@ def _camera(role: Role, seen: _Seen, check: ViewCheck) -> CameraLook:
         height_px=height_px,
         found=_found_text(role, check),
         problems=tuple(line for line in check.problems if _is_of(role, line)),
+        further=_further_looks(check, site) if role == "main" else (),
         focus=focus_figure(image),
         blur_px=None if target is None else float(target.blur_px),
         off_centre_px=off,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -116,3 +117,72 @@ def test_a_target_at_the_border_is_shown_with_what_there_is_around_it(scene: Sce
     place = place_of(decoded(look.pictures["main_detail.png"]), main)
     assert min(place) >= 0
     assert decoded(look.pictures["main_detail.png"]).shape == (DETAIL_PX, DETAIL_PX)
+
+
+EXTRA = """
+[[target.extra]]
+name = "abutment"
+role = "fixed"
+kind = "circles"
+centres_mm = [[-6.0, 8.0], [6.0, 8.0], [-2.0, -8.0]]
+diameter_mm = 5.0
+distance_mm = 11500.0
+distance_sigma_mm = 20.0
+
+[[target.extra]]
+name = "span-2"
+role = "measured"
+kind = "circles"
+centres_mm = [[-12.0, 3.0], [12.0, 3.0], [-4.0, -7.0], [12.0, -7.0]]
+diameter_mm = 5.0
+distance_mm = 12000.0
+distance_sigma_mm = 20.0
+"""
+PLACE_PX = (1150, 640)
+
+
+def with_further(scene: Scene, tmp_path: Path, pixels: np.ndarray) -> tuple[object, CapturedPair]:
+    """A site with two further targets, and a pair with the first of them painted into it."""
+    path = tmp_path / "dcam.toml"
+    path.write_text(laboratory(1280) + EXTRA)
+    site = load_config(path).site()
+    target = site.extra_targets[0].target
+    scale = site.main.focal_px / target.distance_mm
+    x, y = PLACE_PX
+    plate = np.full((200, 180), 30, np.uint8)
+    for centre, diameter in zip(target.centres_mm, target.diameters_mm, strict=True):
+        at = np.rint(([90, 100] + centre * [1, -1] * scale) * 16).astype(int)
+        cv2.circle(plate, at, round(diameter / 2 * scale * 16), 220, -1, cv2.LINE_AA, 4)
+    pixels = pixels.copy()
+    pixels[y - 100 : y + 100, x - 90 : x + 90] = cv2.GaussianBlur(plate, (0, 0), 0.8)
+    return site, replace(scene.pair, main=replace(scene.pair.main, pixels=pixels))
+
+
+def test_of_each_further_target_it_is_said_whether_it_is_found(
+    scene: Scene, tmp_path: Path
+) -> None:
+    site, pair = with_further(scene, tmp_path, scene.pair.main.pixels)
+    look = take_snapshot(pair, site, WHEN)
+    assert look.cameras["main"].found == "5 of 5 discs found"
+    seen, unseen = look.cameras["main"].further
+    assert (seen.name, seen.role, seen.is_found) == ("abutment", "fixed", True)
+    assert seen.text == "3 of 3 discs found, position_px 1150, 640"
+    assert (unseen.name, unseen.is_found, unseen.text) == ("span-2", False, "not found")
+    assert look.cameras["sub"].further == ()
+    green = (decoded(look.pictures["main.jpg"])[420:540, 810:915] @ [-1.0, 2.0, -1.0]).max()
+    assert green > 100, "what is found of it is marked"
+
+
+def test_further_targets_are_said_while_the_main_one_is_not_in_view(
+    scene: Scene, tmp_path: Path
+) -> None:
+    """As when the camera is aimed, and the fixed target comes into view first."""
+    site, pair = with_further(scene, tmp_path, np.full_like(scene.pair.main.pixels, 40))
+    look = take_snapshot(pair, site, WHEN)
+    assert look.cameras["main"].off_centre_px is None
+    seen, unseen = look.cameras["main"].further
+    assert (seen.is_found, unseen.is_found) == (True, False)
+
+
+def test_a_site_without_further_targets_says_nothing_of_any(scene: Scene) -> None:
+    assert take_snapshot(scene.pair, scene.site, WHEN).cameras["main"].further == ()
