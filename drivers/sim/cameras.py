@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from datetime import datetime
 
 from drivers.errors import DeviceLostError, FrameTimeoutError
@@ -88,7 +87,6 @@ class SimulatedCamera:
             )
             raise FrameTimeoutError(msg, self._role)
         (when_utc, monotonic_s, head_deg), self._triggered = self._triggered, None
-        hour = when_utc.hour + when_utc.minute / 60.0
         return CapturedFrame(
             pixels=self._world.render(self._role, when_utc, head_deg, self._exposed()),
             bits=self._world.settings.sensor.bits,
@@ -97,7 +95,7 @@ class SimulatedCamera:
             trigger_monotonic_s=monotonic_s,
             exposure_us=self._exposure_us,
             gain_db=self._gain_db,
-            temperature_c=round(35.0 - 8.0 * math.cos(math.tau * (hour - 3.0) / 24.0), 2),
+            temperature_c=self._world.reported_c(self._role, when_utc),
         )
 
     def close(self) -> None:

@@ -16,7 +16,8 @@ from drivers.frameset import FrameRole, FrameSetRow, encode_png, format_slot, wr
 from drivers.protocols import Role
 from drivers.sim.head import SimulatedHead
 from drivers.sim.settings import SimSettings
-from drivers.sim.world import Truth, World
+from drivers.sim.truth import Truth
+from drivers.sim.world import World
 
 TRUTH_TABLE = "truth.csv"
 TRUTH_COLUMNS = ("slot_utc", "role", "x_mm", "y_mm", "false_x_mm", "false_y_mm", "case")

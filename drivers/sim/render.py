@@ -57,10 +57,27 @@ class CameraRenderer:
         width, height = camera.width_px + 2 * MARGIN_PX, camera.height_px + 2 * MARGIN_PX
         self._sensor = sensor
         self._lens = lens
+        self._rays = self._rays_of(lens, width, height)
         self._response = pixel_response(look.blur_px)
         self._further = _discrete_gaussian(look.blur_px**2 * (look.corner_blur**2 - 1.0))
         self._shape = (height, width)
-        self._rays = kernels.undistorted_rays(
+        x = (np.arange(width) - 0.5 * (width - 1)) / (0.5 * math.hypot(width, height))
+        y = (np.arange(height) - 0.5 * (height - 1)) / (0.5 * math.hypot(width, height))
+        radius2 = y[:, None] ** 2 + x**2
+        slope = y[:, None] * math.sin(look.uphill_rad) + x * math.cos(look.uphill_rad)
+        self._corner_weight = radius2.astype(np.float32)
+        light = 1.0 - look.shading * (0.7 * radius2 + 0.15 * (1.0 - slope))
+        self._light = light.astype(np.float32)
+
+    def refocus(self, lens: TrueLens) -> None:
+        """Look through this lens from now on; costs nothing if it is the same as before."""
+        if lens is not self._lens:
+            self._lens = lens
+            self._rays = self._rays_of(lens, self._shape[1], self._shape[0])
+
+    @staticmethod
+    def _rays_of(lens: TrueLens, width: int, height: int) -> Float32Array:
+        return kernels.undistorted_rays(
             width,
             height,
             lens.fx_px,
@@ -69,13 +86,6 @@ class CameraRenderer:
             lens.cy_px + MARGIN_PX,
             np.ascontiguousarray(lens.distortion),
         )
-        x = (np.arange(width) - 0.5 * (width - 1)) / (0.5 * math.hypot(width, height))
-        y = (np.arange(height) - 0.5 * (height - 1)) / (0.5 * math.hypot(width, height))
-        radius2 = y[:, None] ** 2 + x**2
-        slope = y[:, None] * math.sin(look.uphill_rad) + x * math.cos(look.uphill_rad)
-        self._corner_weight = radius2.astype(np.float32)
-        light = 1.0 - look.shading * (0.7 * radius2 + 0.15 * (1.0 - slope))
-        self._light = light.astype(np.float32)
 
     def board(self, T_CS_WS: Pose, board: TrueBoard, white: float, black: float) -> Float32Array:
         """Reflectance of a board, with margins, blurred as in the image centre."""

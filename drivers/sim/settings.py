@@ -21,6 +21,7 @@ Disturbance = Literal[
     "camera_loss",
 ]
 """What makes images worse or takes them away."""
+Triple = tuple[float, float, float]
 ScenarioKind = Literal["drift", "bridge", Disturbance]
 DISTURBANCES: tuple[Disturbance, ...] = get_args(Disturbance)
 
@@ -47,6 +48,10 @@ class Scenario:
             since %= self.repeat_min
         left = float("inf") if self.end_min is None else self.end_min - self.start_min - since
         return (since, left) if left > 0.0 else None
+
+    def strikes(self, role: Role | None) -> bool:
+        """Whether it is for this camera; None asks for any."""
+        return role is None or self.role is None or self.role == role
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +167,79 @@ class HeadModel:
 
 
 @dataclass(frozen=True, slots=True)
+class Climate:
+    """The air's temperature by hour, season and weather; the cameras follow it."""
+
+    air_mean_c: float = 15.0
+    air_daily_k: float = 8.0
+    """Amplitude of the daily wave: half of what lies between night and afternoon."""
+    air_seasonal_k: float = 0.0
+    """Amplitude of the yearly wave, coldest on 20 January."""
+    air_weather_k: float = 0.0
+    """1 sigma of what the weather adds."""
+    weather_days: float = 5.0
+    """Middle of the periods that the weather is made of."""
+    warmest_hour_utc: float = 15.0
+    camera_lag_h: float = 0.0
+    """Time constant with which the cameras follow the air."""
+    main_above_air_k: float = 20.0
+    """How much the main camera's own heat makes it warmer than the air."""
+    sub_above_air_k: float = 20.0
+    sensor_noise_k: float = 0.0
+    """1 sigma of a camera's report of its temperature, frame by frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class Breathing:
+    """How rig, lenses, board and air change with temperature and time, as counted from the start.
+
+    Creep is a random walk: so much, 1 sigma, in a day, and twice that in four.
+    """
+
+    cameras_urad_per_k: Triple = (0.0, 0.0, 0.0)
+    """Turn of the main camera against the sub-camera, about the main camera's x, y and z axis."""
+    cameras_urad_per_sqrt_day: Triple = (0.0, 0.0, 0.0)
+    """Creep of the same turn."""
+    main_px_per_k: tuple[float, float] = (0.0, 0.0)
+    """Shift of the main camera's principal point, u and v."""
+    main_scale_ppm_per_k: float = 0.0
+    """Growth of the main camera's focal length."""
+    sub_px_per_k: tuple[float, float] = (0.0, 0.0)
+    """Shift of the sub-camera's principal point, u and v."""
+    board_ppm_per_k: float = 0.0
+    """Growth of the board, with the air's temperature."""
+    board_urad_per_k: Triple = (0.0, 0.0, 0.0)
+    """Turn of the board on the pier about its x axis, y axis and normal, with the air's."""
+    board_urad_per_sqrt_day: Triple = (0.0, 0.0, 0.0)
+    """Creep of the same turn."""
+    board_fixed_mm: tuple[float, float] | None = None
+    """The point of the board, in WS, that stays where it is; None: the board's middle."""
+    air_gradient_k_per_m: float = 0.0
+    """How much warmer the air is a metre higher, at the coldest hour; by day as much colder."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimPlate:
+    """One of the site's further plates: where it truly stands and how it moves."""
+
+    name: str
+    """Of the site's extra target."""
+    offset_mm: tuple[float, float] | None = None
+    """Its middle from the main target's, along x and y of WM, at its own distance; None: where
+    the site expects it in the image, or else where there is most room."""
+    bridge_factor: float | None = None
+    """Its share of the bridge's movement; None: 1 for a measured plate, 0 for a fixed one."""
+    knock_min: float = 0.0
+    """Minutes after the start at which it is knocked aside, for good."""
+    knock_mm: tuple[float, float] = (0.0, 0.0)
+    """How far, x and y."""
+    creep_mm_per_sqrt_day: float = 0.0
+    """1 sigma along x and along y of its own slow movement, a random walk."""
+    hidden_min: tuple[tuple[float, float], ...] = ()
+    """Spans, from and to so many minutes after the start, in which it is not to be seen."""
+
+
+@dataclass(frozen=True, slots=True)
 class SimSettings:
     """One simulated rig. All that is random in it follows from the seed."""
 
@@ -175,6 +253,14 @@ class SimSettings:
     optics: Optics = field(default_factory=Optics)
     sensor: Sensor = field(default_factory=Sensor)
     head: HeadModel = field(default_factory=HeadModel)
+    climate: Climate = field(default_factory=Climate)
+    breathing: Breathing = field(default_factory=Breathing)
+    plates: tuple[SimPlate, ...] = ()
+
+    @property
+    def breathes(self) -> bool:
+        """Whether temperature matters: something follows it, or the climate is not the usual."""
+        return self.breathing != Breathing() or self.climate != Climate()
 
     def __post_init__(self) -> None:
         if min(self.optics.main_blur_px, self.optics.sub_blur_px) < 0.5:

@@ -13,38 +13,29 @@ from core.arrays import FloatArray
 from core.geometry.pose import Pose
 from core.site import Site
 from drivers.protocols import Image, Role
+from drivers.sim.breathing import Breath, TrueBreathing
+from drivers.sim.climate import TrueClimate
 from drivers.sim.effects import draw_cobweb, draw_cover, draw_glare, draw_insect, draw_snow, haze_mm
 from drivers.sim.geometry import TrueGeometry, build_geometry, held_board_pose
+from drivers.sim.light import TrueLight
 from drivers.sim.motion import TrueMotion
 from drivers.sim.render import ORDINARY, CameraRenderer, Exposed, Look
-from drivers.sim.settings import DISTURBANCES, Scenario, ScenarioKind, SimSettings
+from drivers.sim.settings import DISTURBANCES, ScenarioKind, SimSettings
+from drivers.sim.truth import Temperatures, Truth
 
 PLATE_MARGIN = 1.75
 """Black plate beyond the outermost disc centres, in disc diameters."""
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
-    """What is true at an instant, relative to a reference instant."""
-
-    displacement_mm: FloatArray
-    """(2,) of the main target in WM: x right, y up."""
-    false_mm: FloatArray
-    """(2,) false displacement: what the rig's motion alone makes of the target's centre."""
-    motion: Pose
-    """Rig motion `T_CSj_CS1`."""
-    cases: tuple[ScenarioKind, ...]
-    """What disturbs the images: night, an insect ..."""
-
-
-@dataclass(frozen=True, slots=True)
 class _State:
-    """Where rig and bridge are."""
+    """Where rig and bridge are, and how they have changed."""
 
     T_CSj_CS0: Pose
     """CS0 is the sub-camera at rest."""
     bridge_mm: FloatArray
     """(3,) in WM."""
+    breath: Breath
 
 
 class World:
@@ -56,6 +47,10 @@ class World:
         self.settings = settings
         self.geometry: TrueGeometry = build_geometry(site, settings)
         self._motion = TrueMotion(settings)
+        self._light = TrueLight(settings)
+        self._climate = TrueClimate(settings)
+        self._breathing = TrueBreathing(settings, self._climate, self.geometry.board)
+        self._still_utc: datetime | None = None
         self._head_deg: Callable[[], tuple[float, float]] = lambda: (0.0, 0.0)
         self._held: tuple[int, Pose] | None = None
         self._slip = Pose.identity()
@@ -117,6 +112,13 @@ class World:
         other = replace(self.settings, seed=self.settings.seed if seed is None else seed)
         self._board = build_geometry(self.site, other).board
 
+    def hold_still(self, at_utc: datetime | None) -> None:
+        """Stop drift, bridge and breathing as they are at an instant, for a calibration.
+
+        Light, weather and noise go on. None: let go.
+        """
+        self._still_utc = at_utc
+
     # ------------------------------------------------------------------ what is true
 
     def truth(self, t_utc: datetime, reference_utc: datetime | None = None) -> Truth:
@@ -125,26 +127,39 @@ class World:
         Without a reference time the reference is the rig at rest, as before `start_utc`.
         """
         now = self._state(t_utc)
+        reference = self._at_rest(reference_utc or self.settings.start_utc)
         if reference_utc is None:
-            reference = _State(Pose.identity(), np.zeros(3))
-        else:
-            minute = self._minute(reference_utc)
-            reference = _State(self._motion.drift(minute), self._motion.bridge_mm(minute))
-        origin_px = self._project_main(reference, np.zeros((1, 3)))[0]
-        moved_px = self._project_main(_State(now.T_CSj_CS0, reference.bridge_mm), np.zeros((1, 3)))
-        false_mm = np.linalg.solve(self._px_per_mm(reference), moved_px[0] - origin_px)
+            reference = replace(reference, T_CSj_CS0=Pose.identity(), bridge_mm=np.zeros(3))
+        origin_px = self._origin_px(reference)
+        moved = replace(reference, T_CSj_CS0=now.T_CSj_CS0)
+        false_mm = np.linalg.solve(self._px_per_mm(reference), self._origin_px(moved) - origin_px)
+        seen = self._seen_motion(now).compose(self._seen_motion(reference).inverse())
+        expected = _State(seen.compose(reference.T_CSj_CS0), now.bridge_mm, reference.breath)
         return Truth(
             displacement_mm=(now.bridge_mm - reference.bridge_mm)[:2],
             false_mm=false_mm,
             motion=now.T_CSj_CS0.compose(reference.T_CSj_CS0.inverse()),
             cases=tuple(kind for kind in DISTURBANCES if self.active(kind, t_utc)),
+            shift_px=self._origin_px(now) - self._origin_px(expected),
+            temperature=self.temperatures(t_utc),
         )
+
+    def temperatures(self, t_utc: datetime) -> Temperatures:
+        """Give the true temperatures; before the start they are those of the start."""
+        moment, climate = self._moment(t_utc), self._climate
+        main_c, sub_c = climate.camera_c("main", moment), climate.camera_c("sub", moment)
+        return Temperatures(main_c, sub_c, climate.air_c(moment))
+
+    def reported_c(self, role: Role, t_utc: datetime) -> float:
+        """Give the temperature that a camera reports with the frame of this instant."""
+        true_c = self._climate.camera_c(role, self._moment(t_utc))
+        return self._climate.reported_c(role, true_c, t_utc)
 
     def active(self, kind: ScenarioKind, t_utc: datetime, role: Role | None = None) -> bool:
         """Tell whether a scenario is on, for this camera if one is named."""
         minute = self._minute(t_utc)
         return any(
-            _strikes(scenario, role) and scenario.minutes_inside(minute) is not None
+            scenario.strikes(role) and scenario.minutes_inside(minute) is not None
             for scenario in self.settings.scenarios
             if scenario.kind == kind
         )
@@ -158,9 +173,10 @@ class World:
 
     def board_corners_px(self, t_utc: datetime) -> FloatArray:
         """True images (squares_y + 1, squares_x + 1, 2) of all line crossings in the sub-camera."""
-        corners = self._board.corners_mm()
-        seen = self._board_pose(self._state(t_utc)).apply(corners.reshape(-1, 3))
-        return self.geometry.sub.project(seen).reshape(*corners.shape[:2], 2)
+        state = self._state(t_utc)
+        corners = state.breath.board(self._board).corners_mm()
+        seen = self._board_pose(state).apply(corners.reshape(-1, 3))
+        return state.breath.sub_lens(self.geometry.sub).project(seen).reshape(*corners.shape[:2], 2)
 
     # ------------------------------------------------------------------ what the cameras see
 
@@ -181,6 +197,7 @@ class World:
         optics, state = self.settings.optics, self._state(t_utc, role, head_deg)
         renderer = self._renderers[role]
         if role == "main":
+            renderer.refocus(state.breath.main_lens(self.geometry.main))
             greys = np.array([optics.main_white, optics.main_black, optics.main_grey])
             discs = self._discs.copy()
             if self.active("haze", t_utc):
@@ -190,7 +207,8 @@ class World:
                 at_px = self.disc_centres_px(t_utc)[rng.integers(len(self._discs))]
                 draw_insect(image, at_px + rng.normal(size=2), self._insect_px("main"), rng)
         else:
-            pose, board = self._board_pose(state), self._board
+            renderer.refocus(state.breath.sub_lens(self.geometry.sub))
+            pose, board = self._board_pose(state), state.breath.board(self._board)
             image = renderer.board(pose, board, optics.sub_white, optics.sub_black)
             if self.active("insect_sub", t_utc):
                 view = np.array([self.site.sub.width_px, self.site.sub.height_px])
@@ -202,7 +220,7 @@ class World:
             draw_cobweb(image, rng)
         if self.active("cover", t_utc, role):
             draw_cover(image, rng)
-        lit = renderer.lit(image, self._light(role, t_utc))
+        lit = renderer.lit(image, self._light.of(role, self._minute(t_utc)))
         if self.active("glare", t_utc, role):
             draw_glare(lit, rng)
         return renderer.expose(lit, optics.pedestal, rng, exposed)
@@ -212,16 +230,26 @@ class World:
     def _minute(self, t_utc: datetime) -> float:
         return (t_utc - self.settings.start_utc).total_seconds() / 60.0
 
+    def _moment(self, t_utc: datetime) -> datetime:
+        """The instant at which rig and bridge are as now."""
+        return max(self._still_utc or t_utc, self.settings.start_utc)
+
+    def _at_rest(self, t_utc: datetime) -> _State:
+        """Where everything is with the head at rest."""
+        minute = self._minute(t_utc)
+        breath = self._breathing.at(max(t_utc, self.settings.start_utc))
+        return _State(self._motion.drift(minute), self._motion.bridge_mm(minute), breath)
+
     def _state(
         self, t_utc: datetime, role: Role = "sub", head_deg: tuple[float, float] | None = None
     ) -> _State:
         """Where everything is; the main camera may shake apart from the sub-camera."""
-        minute = self._minute(t_utc)
+        rest = self._at_rest(self._still_utc or t_utc)
         turned = self.geometry.head_pose(*(head_deg or self.head_deg())).inverse()
-        moved = turned.compose(self._motion.drift(minute))
+        moved = turned.compose(rest.T_CSj_CS0)
         if self.active("vibration", t_utc):
             moved = self._shake(t_utc, role).compose(moved)
-        return _State(moved, self._motion.bridge_mm(minute))
+        return replace(rest, T_CSj_CS0=moved)
 
     def _shake(self, t_utc: datetime, role: Role) -> Pose:
         motion = self.settings.motion
@@ -232,46 +260,37 @@ class World:
 
     def _target_pose(self, state: _State) -> Pose:
         """`T_CMj_WM`: through the rig, because the main camera is bolted to the sub-camera."""
-        T_CM_CS = self.geometry.T_CM_CS
+        T_CM_CS, breath = self.geometry.T_CM_CS, state.breath
         T_CMj_CM0 = T_CM_CS.compose(state.T_CSj_CS0).compose(T_CM_CS.inverse())
-        moved = Pose(np.eye(3), state.bridge_mm)
-        return T_CMj_CM0.compose(self.geometry.T_CM_WM).compose(moved)
+        bending_mm = breath.bending_mm(self.geometry.T_CM_WM.t_mm[2])
+        moved = Pose(np.eye(3), state.bridge_mm + bending_mm)
+        return breath.T_CM_CM0.compose(T_CMj_CM0).compose(self.geometry.T_CM_WM).compose(moved)
 
     def _board_pose(self, state: _State) -> Pose:
         if self._held:
             return self._held[1]
-        return state.T_CSj_CS0.compose(self.geometry.T_CS_WS).compose(self._slip)
+        bonded = state.T_CSj_CS0.compose(self.geometry.T_CS_WS)
+        return bonded.compose(state.breath.T_WS0_WS).compose(self._slip)
+
+    def _seen_motion(self, state: _State) -> Pose:
+        """The rig's motion from rest as the bonded board shows it, which itself may have moved."""
+        T_CS_WS = self.geometry.T_CS_WS
+        board = T_CS_WS.compose(state.breath.T_WS0_WS).compose(T_CS_WS.inverse())
+        return state.T_CSj_CS0.compose(board)
 
     def _project_main(self, state: _State, points_mm: FloatArray) -> FloatArray:
-        return self.geometry.main.project(self._target_pose(state).apply(points_mm))
+        lens = state.breath.main_lens(self.geometry.main)
+        return lens.project(self._target_pose(state).apply(points_mm))
+
+    def _origin_px(self, state: _State) -> FloatArray:
+        """(2,) where the main target's centre is seen."""
+        return np.asarray(self._project_main(state, np.zeros((1, 3)))[0])
 
     def _px_per_mm(self, state: _State) -> FloatArray:
         """`B~` (2, 2) of Eq. 7 at the target's centre, by central differences over 2 mm."""
         steps = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
         px = self._project_main(state, steps)
         return np.column_stack([px[0] - px[1], px[2] - px[3]]) / 2.0
-
-    def _light(self, role: Role, t_utc: datetime) -> float:
-        optics = self.settings.optics
-        dark = self._darkness(t_utc, role)
-        if dark > 0.0:
-            return float(optics.night_light**dark)
-        phase = 0.3 * self.settings.seed + (1.0 if role == "main" else 0.0)
-        return 1.0 + optics.light_change * math.sin(self._minute(t_utc) / 37.0 + phase)
-
-    def _darkness(self, t_utc: datetime, role: Role) -> float:
-        """How far the night has come: 0 is day, 1 night; the light falls by its share of a power.
-
-        A lamp that fails takes no time; the sun takes `dusk_min` to set and to rise.
-        """
-        minute, dusk_min = self._minute(t_utc), self.settings.optics.dusk_min
-        deepest = 0.0
-        for scenario in self.settings.scenarios:
-            inside = scenario.minutes_inside(minute)
-            if scenario.kind != "night" or inside is None or not _strikes(scenario, role):
-                continue
-            deepest = max(deepest, min(1.0, *(m / dusk_min for m in inside)) if dusk_min else 1.0)
-        return deepest
 
     def _insect_px(self, role: Role) -> float:
         """Length of an insect: a disc and a half, or five squares of the board."""
@@ -283,7 +302,3 @@ class World:
             return float(size_mm * self.site.main.focal_px / away_mm)
         target = self.site.sub_target
         return 5.0 * target.square_mm * self.site.sub.focal_px / target.distance_mm
-
-
-def _strikes(scenario: Scenario, role: Role | None) -> bool:
-    return role is None or scenario.role is None or scenario.role == role

@@ -21,7 +21,8 @@ from core.measurement import measure_pair
 from core.results import Measurement
 from core.site import Site
 from drivers.sim.settings import Scenario, SimSettings
-from drivers.sim.world import Truth, World
+from drivers.sim.truth import Truth
+from drivers.sim.world import World
 from tests.core.scenes import (
     MINUTE,
     grey,
