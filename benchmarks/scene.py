@@ -14,9 +14,9 @@ from core.images import GreyImage
 from core.rig.rigid import Rig, motion_by_pose
 from core.site import Site
 from drivers.sim.geometry import TrueGeometry, build_geometry
+from drivers.sim.plates import PLATE_MARGIN
 from drivers.sim.render import CameraRenderer, Look
 from drivers.sim.settings import AsBuilt, Optics, Print, Sensor, SimSettings
-from drivers.sim.world import PLATE_MARGIN
 
 CLEAN = Sensor(bits=16, noise=False)
 """Fine enough steps that differences of images are derivatives."""

@@ -6,6 +6,7 @@ All of it counts from the settings' `start_utc`, before which everything rests.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
@@ -113,7 +114,7 @@ class TrueBreathing:
         return Pose(turn.R, self._fixed_mm + turn.R @ (pushed_mm - self._fixed_mm))
 
 
-def random_walk(seed: list[int], days: float, components: int) -> FloatArray:
+def random_walk(seed: Sequence[int], days: float, components: int) -> FloatArray:
     """Walks (components,) of 1 sigma in a day after so many days; straight within a day."""
     whole = math.floor(days)
     steps = np.random.default_rng(seed).standard_normal((whole + 1, components))

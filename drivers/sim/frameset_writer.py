@@ -3,25 +3,38 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
 from core.site import Site
-from drivers.frameset import FrameRole, FrameSetRow, encode_png, format_slot, write_table
+from drivers.frameset import (
+    TEMPERATURES,
+    FrameRole,
+    FrameSetRow,
+    encode_png,
+    format_slot,
+    write_table,
+)
 from drivers.protocols import Role
 from drivers.sim.head import SimulatedHead
 from drivers.sim.settings import SimSettings
-from drivers.sim.truth import Truth
 from drivers.sim.world import World
 
 TRUTH_TABLE = "truth.csv"
 TRUTH_COLUMNS = ("slot_utc", "role", "x_mm", "y_mm", "false_x_mm", "false_y_mm", "case")
 MOTION_COLUMNS = ("rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm")
+BREATH_COLUMNS = (*TEMPERATURES.values(), "air_c", "shift_u_px", "shift_v_px")
+"""Of a world that breathes or has further plates."""
+PLATE_COLUMNS = ("x_mm", "y_mm", "shift_u_px", "shift_v_px", "case")
+"""Behind the name of each further plate and `_`."""
+
+MINUTE = timedelta(minutes=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +53,7 @@ class FrameSetPlan:
 
 
 @dataclass(frozen=True, slots=True)
-class _View:
+class View:
     """One row to be."""
 
     slot_utc: datetime
@@ -58,11 +71,21 @@ def write_frame_set(
     Calibration rows come a minute apart before `settings.start_utc`, while everything rests; the
     scenarios' minutes count from the first measure row. Gives the world, which knows the truth.
     """
-    directory.mkdir(parents=True, exist_ok=True)
     world = World(site, settings)
+    write_views(directory, world, _views(world, plan or FrameSetPlan()))
+    return world
+
+
+def write_views(directory: Path, world: World, views: Iterable[View]) -> None:
+    """Render these views of a world into a new or empty directory, and leave its head at rest.
+
+    The truth counts from the rig at rest. Where the world breathes, frames.csv has the cameras'
+    temperatures.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
     head = SimulatedHead(world)
     rows, truths = [], []
-    for number, view in enumerate(_views(world, plan or FrameSetPlan())):
+    for number, view in enumerate(views):
         world.hold_board(view.held)
         head.move_to(*view.head_deg)
         pan_deg, tilt_deg = head.position_deg()
@@ -75,15 +98,18 @@ def write_frame_set(
                 sub=_write(directory, number, "sub", world, view),
                 pan_deg=round(pan_deg, 4) if at_known_angles else None,
                 tilt_deg=round(tilt_deg, 4) if at_known_angles else None,
+                extra=MappingProxyType(_temperature_cells(world, view)),
             )
         )
         if view.role in {"reference", "measure"}:
-            truths.append(_truth_cells(view, world.truth(view.slot_utc)))
+            truths.append(_truth_cells(world, view))
     head.move_to(0.0, 0.0)
+    world.hold_board(None)
     write_table(directory, rows)
+    columns = [name for name, _ in truths[0]] if truths else [*TRUTH_COLUMNS, *MOTION_COLUMNS]
+    lines = [columns, *([cell for _, cell in truth] for truth in truths)]
     with (directory / TRUTH_TABLE).open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([TRUTH_COLUMNS + MOTION_COLUMNS, *truths])
-    return world
+        csv.writer(file, lineterminator="\n").writerows(lines)
 
 
 def head_reach_deg(site: Site) -> tuple[float, float]:
@@ -96,34 +122,51 @@ def head_reach_deg(site: Site) -> tuple[float, float]:
     return float(pan), float(tilt)
 
 
-def _views(world: World, plan: FrameSetPlan) -> Iterator[_View]:
-    """The rows of a set in time order."""
-    settings, minute = world.settings, timedelta(minutes=1)
-    reach_deg = plan.reach * np.array(head_reach_deg(world.site))
-    reach_deg = np.minimum(reach_deg, [settings.head.limit_pan_deg, settings.head.limit_tilt_deg])
-    rng = np.random.default_rng([settings.seed, 6])
-
-    def anywhere() -> tuple[float, float]:
+def head_positions_deg(
+    world: World, rng: np.random.Generator, reach: float
+) -> Iterator[tuple[float, float]]:
+    """Random positions without end that use a share of the main camera's free field of view."""
+    limits = world.settings.head
+    reach_deg = reach * np.array(head_reach_deg(world.site))
+    reach_deg = np.minimum(reach_deg, [limits.limit_pan_deg, limits.limit_tilt_deg])
+    while True:
         pan_deg, tilt_deg = rng.uniform(-reach_deg, reach_deg)
-        return float(pan_deg), float(tilt_deg)
+        yield float(pan_deg), float(tilt_deg)
 
-    slot = settings.start_utc - (plan.intrinsics + 1 + plan.rig) * minute
-    for number in range(plan.intrinsics):
-        yield _View(slot + number * minute, "intrinsics", held=number)
-    slot += plan.intrinsics * minute
-    yield _View(slot, "reference")
-    for number in range(plan.rig):
-        yield _View(slot + (number + 1) * minute, "rig", head_deg=anywhere())
+
+def calibration_views(
+    first_utc: datetime,
+    intrinsics: int,
+    rig_deg: Iterable[tuple[float, float]],
+    first_held: int = 0,
+) -> Iterator[View]:
+    """Lens views, reference and rig positions, a minute apart."""
+    for number in range(intrinsics):
+        yield View(first_utc + number * MINUTE, "intrinsics", held=first_held + number)
+    reference_utc = first_utc + intrinsics * MINUTE
+    yield View(reference_utc, "reference")
+    for number, head_deg in enumerate(rig_deg, 1):
+        yield View(reference_utc + number * MINUTE, "rig", head_deg=head_deg)
+
+
+def _views(world: World, plan: FrameSetPlan) -> Iterator[View]:
+    """The rows of a set in time order."""
+    start_utc = world.settings.start_utc
+    anywhere = head_positions_deg(
+        world, np.random.default_rng([world.settings.seed, 6]), plan.reach
+    )
+    first_utc = start_utc - (plan.intrinsics + 1 + plan.rig) * MINUTE
+    rig_deg = [next(anywhere) for _ in range(plan.rig)]
+    yield from calibration_views(first_utc, plan.intrinsics, rig_deg)
     for number in range(plan.measure):
-        at = settings.start_utc + number * plan.measure_every_min * minute
-        yield _View(at, "measure", head_deg=anywhere() if plan.moved_by == "head" else (0.0, 0.0))
+        at_utc = start_utc + number * plan.measure_every_min * MINUTE
+        head_deg = next(anywhere) if plan.moved_by == "head" else (0.0, 0.0)
+        yield View(at_utc, "measure", head_deg=head_deg)
 
 
-def _write(directory: Path, number: int, role: Role, world: World, view: _View) -> str | None:
+def _write(directory: Path, number: int, role: Role, world: World, view: View) -> str | None:
     """Write one image and give its name; None where there is none to be had."""
-    if role == "main" and view.role == "intrinsics":
-        return None
-    if world.active("camera_loss", view.slot_utc, role):
+    if not _has_image(role, world, view):
         return None
     name = f"{number:04d}_{role}.png"
     pixels = world.render(role, view.slot_utc)
@@ -131,8 +174,41 @@ def _write(directory: Path, number: int, role: Role, world: World, view: _View) 
     return name
 
 
-def _truth_cells(view: _View, truth: Truth) -> list[str]:
-    case = "+".join(truth.cases) or "ok"
-    numbers = [*truth.displacement_mm, *truth.false_mm]
-    cells = [format_slot(view.slot_utc), view.role, *(repr(float(x)) for x in numbers), case]
-    return cells + [repr(float(x)) for x in truth.motion.vector]
+def _has_image(role: Role, world: World, view: View) -> bool:
+    if role == "main" and view.role == "intrinsics":
+        return False
+    return not world.active("camera_loss", view.slot_utc, role)
+
+
+def _temperature_cells(world: World, view: View) -> dict[str, str]:
+    if not world.settings.breathes:
+        return {}
+    return {
+        column: f"{world.reported_c(role, view.slot_utc):g}"
+        if _has_image(role, world, view)
+        else ""
+        for role, column in TEMPERATURES.items()
+    }
+
+
+def _truth_cells(world: World, view: View) -> list[tuple[str, str]]:
+    """One row of truth.csv as columns and their cells."""
+    truth = world.truth(view.slot_utc)
+    cells = [format_slot(view.slot_utc), view.role]
+    cells += _numbers([*truth.displacement_mm, *truth.false_mm])
+    cells += ["+".join(truth.cases) or "ok", *_numbers(truth.motion.vector)]
+    row = list(zip((*TRUTH_COLUMNS, *MOTION_COLUMNS), cells, strict=True))
+    if not world.settings.breathes and not truth.plates:
+        return row
+    warm = truth.temperature
+    breath = _numbers([warm.main_c, warm.sub_c, warm.air_c, *truth.shift_px])
+    row += zip(BREATH_COLUMNS, breath, strict=True)
+    for name, plate in truth.plates.items():
+        cells = _numbers([*plate.displacement_mm, *plate.shift_px])
+        cells.append("hidden" if plate.hidden else "ok")
+        row += zip((f"{name}_{column}" for column in PLATE_COLUMNS), cells, strict=True)
+    return row
+
+
+def _numbers(values: Iterable[float]) -> list[str]:
+    return [repr(float(value)) for value in values]

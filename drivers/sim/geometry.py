@@ -7,7 +7,7 @@ board; cameras x right, y down, z forward; pixel (0, 0) is the centre of the top
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -22,6 +22,10 @@ FLIP_Y_Z = np.diag([1.0, -1.0, -1.0])
 
 HELD_TILT_DEG = 25.0
 """Largest tilt of a board held in the hand."""
+
+REFOCUS = 0.001
+"""1 sigma by which refocusing changes a focal length, and shifts the principal point as a share of
+the image's width."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +106,7 @@ def build_geometry(site: Site, settings: SimSettings) -> TrueGeometry:
     """Build a rig from a drawing: each departure within its sigma, all from the seed."""
     rng = np.random.default_rng([settings.seed, 1])
     built = settings.as_built
-    draw = _Draw(rng, built.scale)
+    draw = Draw(rng, built.scale)
     T_CM_CS = Pose(
         Rotation.from_rotvec(draw(np.radians(np.full(3, site.rig.rotation_sigma_deg)))).as_matrix()
         @ Rotation.from_euler("xyz", site.rig.rotation_main_sub_deg, degrees=True).as_matrix(),
@@ -128,6 +132,25 @@ def build_geometry(site: Site, settings: SimSettings) -> TrueGeometry:
     )
 
 
+def bonded_again(site: Site, settings: SimSettings, number: int) -> Pose:
+    """`T_CS_WS` of the board bonded to the pier once more, about where it was."""
+    draw = Draw(np.random.default_rng([settings.seed, 14, number]), settings.as_built.scale)
+    return _sub_target(site.sub_target, draw, settings.as_built)
+
+
+def refocused(lens: TrueLens, camera: CameraGeometry, rng: np.random.Generator) -> TrueLens:
+    """Give a lens after somebody has turned its focus ring: another focal length and centre."""
+    scale = 1.0 + REFOCUS * rng.standard_normal()
+    shift_px = REFOCUS * camera.width_px * rng.standard_normal(2)
+    return replace(
+        lens,
+        fx_px=lens.fx_px * scale,
+        fy_px=lens.fy_px * scale,
+        cx_px=lens.cx_px + float(shift_px[0]),
+        cy_px=lens.cy_px + float(shift_px[1]),
+    )
+
+
 def held_board_pose(site: Site, geometry: TrueGeometry, rng: np.random.Generator) -> Pose:
     """`T_CS_WS` of the board held by hand before the sub-camera: tilted, anywhere in view."""
     axis = rng.normal(size=2)
@@ -144,7 +167,7 @@ def held_board_pose(site: Site, geometry: TrueGeometry, rng: np.random.Generator
     return Pose(R, middle - R @ np.append(geometry.board.size_mm / 2.0, 0.0))
 
 
-class _Draw:
+class Draw:
     """Normal deviates, cut off so that a departure is fairly within its stated sigma."""
 
     def __init__(self, rng: np.random.Generator, scale: float) -> None:
@@ -152,12 +175,13 @@ class _Draw:
         self.scale = scale
 
     def __call__(self, sigma: FloatArray, limit: float = 1.5) -> FloatArray:
+        """Give a deviate for each sigma."""
         return self.scale * sigma * np.clip(self._rng.normal(size=sigma.shape), -limit, limit)
 
 
 def _lens(
     camera: CameraGeometry,
-    draw: _Draw,
+    draw: Draw,
     focal_sigma: float,
     distortion: FloatArray,
     centre_px_per_1000: float,
@@ -173,21 +197,21 @@ def _lens(
     )
 
 
-def _main_target(target: CirclesTarget, draw: _Draw, built: AsBuilt) -> Pose:
+def _main_target(target: CirclesTarget, draw: Draw, built: AsBuilt) -> Pose:
     turn = Rotation.from_rotvec(draw(np.radians(np.full(3, built.target_tilt_deg))))
     aim_mm = draw(np.full(2, built.aim_mm))
     depth_mm = target.distance_mm + draw(np.array([target.distance_sigma_mm]))
     return Pose(turn.as_matrix() @ FLIP_Y_Z, np.concatenate([aim_mm, depth_mm]))
 
 
-def _sub_target(target: CheckerboardTarget, draw: _Draw, built: AsBuilt) -> Pose:
+def _sub_target(target: CheckerboardTarget, draw: Draw, built: AsBuilt) -> Pose:
     R = Rotation.from_rotvec(draw(np.radians(np.full(3, built.target_tilt_deg)))).as_matrix()
     half_mm = np.array([target.squares_x, target.squares_y, 0.0]) * target.square_mm / 2.0
     middle = np.array([0.0, 0.0, target.distance_mm]) + draw(np.full(3, built.board_offset_mm))
     return Pose(R, middle - R @ half_mm)
 
 
-def _board(target: CheckerboardTarget, printed: Print, draw: _Draw) -> TrueBoard:
+def _board(target: CheckerboardTarget, printed: Print, draw: Draw) -> TrueBoard:
     scale = 1.0 + np.clip(draw(np.full(2, printed.scale_error)), -0.001, 0.001)
     error_mm = printed.line_error_um / 1000.0
     x = np.arange(target.squares_x + 1) * target.square_mm * scale[0]

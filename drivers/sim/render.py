@@ -103,13 +103,31 @@ class CameraRenderer:
         """
         white, black, grey = greys
         out = self._squares(T_CM_WM, np.zeros(5), plate_mm[::2], plate_mm[1::2], grey, black)
+        self._add_discs(T_CM_WM, discs_mm, white - black, out)
+        return out
+
+    def add_plate(
+        self,
+        scene: Float32Array,
+        T_CM_W: Pose,
+        discs_mm: FloatArray,
+        plate_mm: FloatArray,
+        greys: FloatArray,
+    ) -> None:
+        """Put one more plate of discs into a scene from `discs`, where only background is."""
+        white, black, grey = greys
+        x_mm, y_mm = plate_mm[::2], plate_mm[1::2]
+        scene += self._squares(T_CM_W, np.zeros(5), x_mm, y_mm, 0.0, black - grey)
+        self._add_discs(T_CM_W, discs_mm, white - black, scene)
+
+    def _add_discs(
+        self, T_CM_WM: Pose, discs_mm: FloatArray, contrast: float, out: Float32Array
+    ) -> None:
         inverse = T_CM_WM.inverse()
         R, boxes = np.ascontiguousarray(inverse.R), self._boxes(T_CM_WM, discs_mm)
-        contrast = white - black
         kernels.add_discs(
             self._rays, R, inverse.t_mm, discs_mm, boxes, self._response, contrast, out
         )
-        return out
 
     def _squares(
         self,

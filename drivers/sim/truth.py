@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from core.arrays import FloatArray
@@ -21,6 +22,17 @@ class Temperatures:
 
 
 @dataclass(frozen=True, slots=True)
+class PlateTruth:
+    """What is true of one further plate."""
+
+    displacement_mm: FloatArray
+    """(2,) in its own frame, x right and y up as in WM."""
+    shift_px: FloatArray
+    """(2,) of its middle, as `Truth.shift_px`."""
+    hidden: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Truth:
     """What is true at an instant, relative to a reference instant."""
 
@@ -37,3 +49,5 @@ class Truth:
     and creep between them, the main lens, the air, and the board on the pier, whose movement the
     sub-camera takes for the rig's. The sub-camera's own lens is left out: it does no harm."""
     temperature: Temperatures
+    plates: Mapping[str, PlateTruth]
+    """Of the site's further plates, in its order."""

@@ -16,15 +16,20 @@ from drivers.protocols import Image, Role
 from drivers.sim.breathing import Breath, TrueBreathing
 from drivers.sim.climate import TrueClimate
 from drivers.sim.effects import draw_cobweb, draw_cover, draw_glare, draw_insect, draw_snow, haze_mm
-from drivers.sim.geometry import TrueGeometry, build_geometry, held_board_pose
+from drivers.sim.geometry import (
+    TrueGeometry,
+    bonded_again,
+    build_geometry,
+    held_board_pose,
+    refocused,
+)
+from drivers.sim.kernels import Float32Array
 from drivers.sim.light import TrueLight
 from drivers.sim.motion import TrueMotion
+from drivers.sim.plates import TruePlate, further_plates, main_plate
 from drivers.sim.render import ORDINARY, CameraRenderer, Exposed, Look
 from drivers.sim.settings import DISTURBANCES, ScenarioKind, SimSettings
-from drivers.sim.truth import Temperatures, Truth
-
-PLATE_MARGIN = 1.75
-"""Black plate beyond the outermost disc centres, in disc diameters."""
+from drivers.sim.truth import PlateTruth, Temperatures, Truth
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +41,8 @@ class _State:
     bridge_mm: FloatArray
     """(3,) in WM."""
     breath: Breath
+    minute: float
+    """Since the start."""
 
 
 class World:
@@ -55,11 +62,9 @@ class World:
         self._held: tuple[int, Pose] | None = None
         self._slip = Pose.identity()
         self._board = self.geometry.board
-        target = site.main_target
-        self._discs = np.column_stack([target.centres_mm, target.diameters_mm / 2.0])
-        margin = PLATE_MARGIN * float(target.diameters_mm.max())
-        low, high = target.centres_mm.min(axis=0), target.centres_mm.max(axis=0)
-        self._plate = np.concatenate([low - margin, high + margin])
+        T_CM_WM = self.geometry.T_CM_WM
+        self._target = main_plate(site, T_CM_WM)
+        self._further = further_plates(site, settings, T_CM_WM)
         self._renderers = self._make_renderers() if renders else {}
         for role in self._renderers:  # compiles the kernels here, not within a camera's deadline
             self.render(role, settings.start_utc)
@@ -112,6 +117,21 @@ class World:
         other = replace(self.settings, seed=self.settings.seed if seed is None else seed)
         self._board = build_geometry(self.site, other).board
 
+    def bond_board(self, number: int) -> None:
+        """Take the board off the pier and bond it again: another pose for each number."""
+        T_CS_WS = bonded_again(self.site, self.settings, number)
+        self.geometry = replace(self.geometry, T_CS_WS=T_CS_WS)
+
+    def refocus(self, role: Role, number: int) -> None:
+        """Turn a lens's focus ring: another focal length and principal point for each number."""
+        rng = np.random.default_rng([self.settings.seed, 15, role == "sub", number])
+        if role == "main":
+            lens = refocused(self.geometry.main, self.site.main, rng)
+            self.geometry = replace(self.geometry, main=lens)
+        else:
+            lens = refocused(self.geometry.sub, self.site.sub, rng)
+            self.geometry = replace(self.geometry, sub=lens)
+
     def hold_still(self, at_utc: datetime | None) -> None:
         """Stop drift, bridge and breathing as they are at an instant, for a calibration.
 
@@ -130,18 +150,34 @@ class World:
         reference = self._at_rest(reference_utc or self.settings.start_utc)
         if reference_utc is None:
             reference = replace(reference, T_CSj_CS0=Pose.identity(), bridge_mm=np.zeros(3))
-        origin_px = self._origin_px(reference)
+        target = self._target
+        origin_px = self._middle_px(target, reference)
         moved = replace(reference, T_CSj_CS0=now.T_CSj_CS0)
-        false_mm = np.linalg.solve(self._px_per_mm(reference), self._origin_px(moved) - origin_px)
+        moved_px = self._middle_px(target, moved)
+        false_mm = np.linalg.solve(self._px_per_mm(reference), moved_px - origin_px)
         seen = self._seen_motion(now).compose(self._seen_motion(reference).inverse())
-        expected = _State(seen.compose(reference.T_CSj_CS0), now.bridge_mm, reference.breath)
+        expected = replace(
+            now, T_CSj_CS0=seen.compose(reference.T_CSj_CS0), breath=reference.breath
+        )
+
+        def shift_px(plate: TruePlate) -> FloatArray:
+            return self._middle_px(plate, now) - self._middle_px(plate, expected)
+
         return Truth(
             displacement_mm=(now.bridge_mm - reference.bridge_mm)[:2],
             false_mm=false_mm,
             motion=now.T_CSj_CS0.compose(reference.T_CSj_CS0.inverse()),
             cases=tuple(kind for kind in DISTURBANCES if self.active(kind, t_utc)),
-            shift_px=self._origin_px(now) - self._origin_px(expected),
+            shift_px=shift_px(target),
             temperature=self.temperatures(t_utc),
+            plates={
+                plate.name: PlateTruth(
+                    (_displacement_mm(plate, now) - _displacement_mm(plate, reference))[:2],
+                    shift_px(plate),
+                    plate.is_hidden(self._minute(t_utc)),
+                )
+                for plate in self._further
+            },
         )
 
     def temperatures(self, t_utc: datetime) -> Temperatures:
@@ -164,12 +200,13 @@ class World:
             if scenario.kind == kind
         )
 
-    def disc_centres_px(self, t_utc: datetime) -> FloatArray:
-        """True images (n, 2) of the disc centres in the main camera."""
-        centres = self.site.main_target.centres_mm
-        return self._project_main(
-            self._state(t_utc), np.column_stack([centres, np.zeros(len(centres))])
-        )
+    def disc_centres_px(self, t_utc: datetime, plate: str | None = None) -> FloatArray:
+        """True images (n, 2) of a plate's disc centres in the main camera; None: the target's."""
+        of = self._target
+        if plate is not None:
+            of = next(further for further in self._further if further.name == plate)
+        centres = np.column_stack([of.discs_mm[:, :2], np.zeros(len(of.discs_mm))])
+        return self._project_main(of, self._state(t_utc), centres)
 
     def board_corners_px(self, t_utc: datetime) -> FloatArray:
         """True images (squares_y + 1, squares_x + 1, 2) of all line crossings in the sub-camera."""
@@ -198,13 +235,9 @@ class World:
         renderer = self._renderers[role]
         if role == "main":
             renderer.refocus(state.breath.main_lens(self.geometry.main))
-            greys = np.array([optics.main_white, optics.main_black, optics.main_grey])
-            discs = self._discs.copy()
-            if self.active("haze", t_utc):
-                discs[:, :2] += haze_mm(len(discs), optics.haze_mm, rng)
-            image = renderer.discs(self._target_pose(state), discs, self._plate, greys)
+            image = self._plates(renderer, state, t_utc, rng)
             if self.active("insect_main", t_utc):
-                at_px = self.disc_centres_px(t_utc)[rng.integers(len(self._discs))]
+                at_px = self.disc_centres_px(t_utc)[rng.integers(len(self._target.discs_mm))]
                 draw_insect(image, at_px + rng.normal(size=2), self._insect_px("main"), rng)
         else:
             renderer.refocus(state.breath.sub_lens(self.geometry.sub))
@@ -225,6 +258,29 @@ class World:
             draw_glare(lit, rng)
         return renderer.expose(lit, optics.pedestal, rng, exposed)
 
+    def _plates(
+        self, renderer: CameraRenderer, state: _State, t_utc: datetime, rng: np.random.Generator
+    ) -> Float32Array:
+        """Reflectance of the main target and the further plates that nothing hides."""
+        optics = self.settings.optics
+        greys = np.array([optics.main_white, optics.main_black, optics.main_grey])
+        minute, target, haze = self._minute(t_utc), self._target, self.active("haze", t_utc)
+
+        def discs_mm(plate: TruePlate) -> FloatArray:
+            discs = plate.discs_mm.copy()
+            if haze:
+                sigma_mm = optics.haze_mm * plate.distance_mm / target.distance_mm
+                discs[:, :2] += haze_mm(len(discs), sigma_mm, rng)
+            return discs
+
+        pose = self._plate_pose(target, state)
+        image = renderer.discs(pose, discs_mm(target), target.outline_mm, greys)
+        for plate in self._further:
+            if not plate.is_hidden(minute):
+                pose = self._plate_pose(plate, state)
+                renderer.add_plate(image, pose, discs_mm(plate), plate.outline_mm, greys)
+        return image
+
     # ------------------------------------------------------------------ inside
 
     def _minute(self, t_utc: datetime) -> float:
@@ -238,7 +294,7 @@ class World:
         """Where everything is with the head at rest."""
         minute = self._minute(t_utc)
         breath = self._breathing.at(max(t_utc, self.settings.start_utc))
-        return _State(self._motion.drift(minute), self._motion.bridge_mm(minute), breath)
+        return _State(self._motion.drift(minute), self._motion.bridge_mm(minute), breath, minute)
 
     def _state(
         self, t_utc: datetime, role: Role = "sub", head_deg: tuple[float, float] | None = None
@@ -258,13 +314,13 @@ class World:
         share = motion.vibration_apart if role == "main" else 0.0
         return Pose.from_vectors(together + share * apart, np.zeros(3))
 
-    def _target_pose(self, state: _State) -> Pose:
-        """`T_CMj_WM`: through the rig, because the main camera is bolted to the sub-camera."""
+    def _plate_pose(self, plate: TruePlate, state: _State) -> Pose:
+        """`T_CMj_W`: through the rig, because the main camera is bolted to the sub-camera."""
         T_CM_CS, breath = self.geometry.T_CM_CS, state.breath
         T_CMj_CM0 = T_CM_CS.compose(state.T_CSj_CS0).compose(T_CM_CS.inverse())
-        bending_mm = breath.bending_mm(self.geometry.T_CM_WM.t_mm[2])
-        moved = Pose(np.eye(3), state.bridge_mm + bending_mm)
-        return breath.T_CM_CM0.compose(T_CMj_CM0).compose(self.geometry.T_CM_WM).compose(moved)
+        seems_mm = _displacement_mm(plate, state) + breath.bending_mm(plate.distance_mm)
+        moved = Pose(np.eye(3), seems_mm)
+        return breath.T_CM_CM0.compose(T_CMj_CM0).compose(plate.T_CM_W).compose(moved)
 
     def _board_pose(self, state: _State) -> Pose:
         if self._held:
@@ -278,27 +334,31 @@ class World:
         board = T_CS_WS.compose(state.breath.T_WS0_WS).compose(T_CS_WS.inverse())
         return state.T_CSj_CS0.compose(board)
 
-    def _project_main(self, state: _State, points_mm: FloatArray) -> FloatArray:
+    def _project_main(self, plate: TruePlate, state: _State, points_mm: FloatArray) -> FloatArray:
         lens = state.breath.main_lens(self.geometry.main)
-        return lens.project(self._target_pose(state).apply(points_mm))
+        return lens.project(self._plate_pose(plate, state).apply(points_mm))
 
-    def _origin_px(self, state: _State) -> FloatArray:
-        """(2,) where the main target's centre is seen."""
-        return np.asarray(self._project_main(state, np.zeros((1, 3)))[0])
+    def _middle_px(self, plate: TruePlate, state: _State) -> FloatArray:
+        """(2,) where a plate's origin is seen."""
+        return np.asarray(self._project_main(plate, state, np.zeros((1, 3)))[0])
 
     def _px_per_mm(self, state: _State) -> FloatArray:
         """`B~` (2, 2) of Eq. 7 at the target's centre, by central differences over 2 mm."""
         steps = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
-        px = self._project_main(state, steps)
+        px = self._project_main(self._target, state, steps)
         return np.column_stack([px[0] - px[1], px[2] - px[3]]) / 2.0
 
     def _insect_px(self, role: Role) -> float:
         """Length of an insect: a disc and a half, or five squares of the board."""
         if role == "main":
             size_mm, away_mm = (
-                1.5 * self._discs[:, 2].max() * 2.0,
+                1.5 * self._target.discs_mm[:, 2].max() * 2.0,
                 self.site.main_target.distance_mm,
             )
             return float(size_mm * self.site.main.focal_px / away_mm)
         target = self.site.sub_target
         return 5.0 * target.square_mm * self.site.sub.focal_px / target.distance_mm
+
+
+def _displacement_mm(plate: TruePlate, state: _State) -> FloatArray:
+    return plate.displacement_mm(state.minute, state.bridge_mm)

@@ -44,3 +44,15 @@ def clean(**changes: object) -> SimSettings:
 
 
 AS_DRAWN = AsBuilt(scale=0.0)
+
+
+def disc_centroids(image: np.ndarray, near_px: np.ndarray, radius_px: float) -> np.ndarray:
+    """Grey-weighted centroids of the discs, each in a square window about a first guess."""
+    found = []
+    half = round(1.4 * radius_px)
+    for u, v in np.rint(near_px).astype(int):
+        cut = image[v - half : v + half + 1, u - half : u + half + 1].astype(float)
+        weight = cut - np.median(cut[0])
+        axis = np.arange(-half, half + 1)
+        found.append([u, v] + np.array([axis @ weight.sum(0), axis @ weight.sum(1)]) / weight.sum())
+    return np.array(found)

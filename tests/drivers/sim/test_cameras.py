@@ -13,6 +13,7 @@ from drivers.clock import SteppedClock
 from drivers.errors import DeviceLostError, FrameTimeoutError, HeadError
 from drivers.sim.cameras import SimulatedCamera
 from drivers.sim.head import SimulatedHead
+from drivers.sim.light import TrueLight
 from drivers.sim.settings import Optics, Scenario, Sensor, SimSettings
 from drivers.sim.world import World
 from tests.drivers.sim.rigs import clean, site
@@ -125,11 +126,8 @@ def test_dusk_takes_its_time() -> None:
         scenarios=(Scenario("night", 100, 200),),
         optics=Optics(night_light=0.04, dusk_min=40.0, light_change=0.0),
     )
-    world = World(site(), settings)
-    light = {
-        minute: world._light("main", START + timedelta(minutes=minute))
-        for minute in (99, 120, 140, 159, 180, 200)
-    }
+    true = TrueLight(settings)
+    light = {minute: true.of("main", minute) for minute in (99, 120, 140, 159, 180, 200)}
     assert light == pytest.approx({99: 1.0, 120: 0.2, 140: 0.04, 159: 0.04, 180: 0.2, 200: 1.0})
 
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from drivers.sim.settings import Motion, Scenario, SimSettings
 from drivers.sim.world import World
-from tests.drivers.sim.rigs import AS_DRAWN, clean, site
+from tests.drivers.sim.rigs import AS_DRAWN, clean, disc_centroids, site
 
 START = SimSettings().start_utc
 LATER = START + timedelta(hours=5)
@@ -27,18 +27,6 @@ def _cv_project(points_mm: np.ndarray, lens) -> np.ndarray:
     K = np.array([[lens.fx_px, 0, lens.cx_px], [0, lens.fy_px, lens.cy_px], [0, 0, 1]])
     zero = np.zeros(3)
     return cv2.projectPoints(points_mm, zero, zero, K, lens.distortion)[0].reshape(-1, 2)
-
-
-def _disc_centroids(image: np.ndarray, near_px: np.ndarray, radius_px: float) -> np.ndarray:
-    """Grey-weighted centroids of the discs, each in a square window about a first guess."""
-    found = []
-    half = round(1.4 * radius_px)
-    for u, v in np.rint(near_px).astype(int):
-        cut = image[v - half : v + half + 1, u - half : u + half + 1].astype(float)
-        weight = cut - np.median(cut[0])
-        axis = np.arange(-half, half + 1)
-        found.append([u, v] + np.array([axis @ weight.sum(0), axis @ weight.sum(1)]) / weight.sum())
-    return np.array(found)
 
 
 # ------------------------------------------------------------------ conventions
@@ -138,13 +126,13 @@ def test_truth_from_another_reference() -> None:
 # ------------------------------------------------------------------ images show the truth
 
 
-def test_disc_centroids_are_where_truth_says() -> None:
+def testdisc_centroids_are_where_truth_says() -> None:
     """Rendered discs of a moved bridge and rig lie within 0.001 px of their projected centres."""
     world = World(site(shrink=2), clean())
     true_px = world.disc_centres_px(LATER)
     image = world.render("main", LATER)
     radius_px = 4.0 * world.site.main.focal_px / 11000.0
-    assert _disc_centroids(image, true_px, radius_px) == pytest.approx(true_px, abs=0.001)
+    assert disc_centroids(image, true_px, radius_px) == pytest.approx(true_px, abs=0.001)
 
 
 @pytest.mark.parametrize("axis", [0, 1], ids=["vertical lines", "horizontal lines"])
