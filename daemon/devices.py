@@ -137,12 +137,16 @@ def found_on_network(config: Config) -> dict[Role, str]:
 
 
 def open_simulated_rig(config: Config, clock: Clock) -> SimulatedRig:
-    """Give cameras and head of one simulated world."""
+    """Give cameras and head of one simulated world. Raises ConfigError for one that cannot be."""
     from drivers.sim.cameras import SimulatedCamera
     from drivers.sim.head import SimulatedHead
     from drivers.sim.world import World
 
-    world = World(config.site(), config.simulation.settings())
+    try:
+        world = World(config.site(), config.simulation.settings())
+    except ValueError as error:  # a plate that has no place in the image
+        msg = f"{config.path}: {error}"
+        raise ConfigError(msg) from None
     head: PanTiltHead = SimulatedHead(world)
     if config.pan_tilt.is_serial:
         from drivers.sim.head_angles import AnglesAsker

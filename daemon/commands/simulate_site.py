@@ -6,15 +6,18 @@ import shlex
 import shutil
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from daemon.commands.options import Options, common_options, pass_options
 from daemon.commands.output import note, say
-from daemon.config.reading import find_config, load_config
+from daemon.config.reading import Config, find_config, load_config
 from daemon.durable import write_durable
 from daemon.errors import ConfigError, ExitCode, UsageError
+
+if TYPE_CHECKING:  # the renderer is loaded by who writes a season
+    from drivers.sim.season_writer import SeasonPlan
 
 CONFIG = "dcam.toml"
 STATE = "state"
@@ -33,7 +36,8 @@ BEGIN_IN = timedelta(minutes=30)
 @click.command(
     "site",
     epilog="\b\nExample:\n  dcam-ctl simulate site --config mine.toml --output /tmp/trial\n"
-    "  dcam-ctl simulate site --config mine.toml --output /tmp/trial --clock system",
+    "  dcam-ctl simulate site --config mine.toml --output /tmp/trial --clock system\n"
+    "  dcam-ctl simulate site --config mine.toml --output /tmp/year --season 365 --rebond",
 )
 @click.option(
     "--output",
@@ -50,26 +54,89 @@ BEGIN_IN = timedelta(minutes=30)
     show_default=True,
     help="stepped: simulated time, a day passes in minutes; system: the machine's own time.",
 )
+@click.option(
+    "--season",
+    "days",
+    type=click.FloatRange(min=0, min_open=True, max=36_500),
+    metavar="DAYS",
+    help="Also write a season of so many days as a frame set with its truth.csv.",
+)
+@click.option(
+    "--rows",
+    type=click.IntRange(min=2),
+    default=14,
+    show_default=True,
+    help="Measure rows of the season.",
+)
+@click.option(
+    "--rebond",
+    is_flag=True,
+    help="Half-way through the season the board is bonded again: a second calibration and set.",
+)
 @common_options
 @pass_options
-def command(options: Options, directory: Path, clock: Literal["stepped", "system"]) -> int:
+def command(
+    options: Options,
+    directory: Path,
+    clock: Literal["stepped", "system"],
+    days: float | None,
+    rows: int,
+    *,
+    rebond: bool,
+) -> int:
     """Write a copy of the config with simulated cameras and head, everything else as it is.
 
     So calibrate, dcamd and capture run on the site's own geometry before any hardware is there.
     [alarm] is left out: a trial notifies nobody. Ends with the commands to run next.
+
+    --season writes images instead of waiting for them: calibration and rows over months, as
+    [simulation], [simulation.climate] and [simulation.breathing] have it.
     """
     source = find_config(options.config_flag)
-    load_config(source)  # what is wrong in it is the original's fault, and named there
+    _require_possible(load_config(source))  # what is wrong in it is named there, not in the copy
     config = _target(directory)
+    plan = _season_plan(days, rows, rebond=rebond) if days is not None else None
     text = simulated(source, clock, datetime.now(UTC))
     directory.mkdir(parents=True, exist_ok=True)
     write_durable(config, text.encode())
     shutil.copymode(source, config)
-    load_config(config)
+    trial = load_config(config)
+    parts = () if plan is None else _write_season(trial, directory, plan)
     simulated_parts = f"simulated cameras and head, clock {clock}, nobody in [alarm]"
     note(f"{config}: as {source}, but {simulated_parts}; next:")
-    _say_next(config, directory)
+    if parts:
+        _say_next_of_season(config, parts)
+    else:
+        _say_next(config, directory)
     return ExitCode.DONE
+
+
+def _require_possible(config: Config) -> None:
+    """Raise ConfigError for a site that cannot be simulated: a plate without a place."""
+    from drivers.sim.world import World
+
+    try:
+        World(config.site(), config.simulation.settings(), renders=False)
+    except ValueError as error:
+        msg = f"{config.path}: {error}"
+        raise ConfigError(msg) from None
+
+
+def _season_plan(days: float, rows: int, *, rebond: bool) -> SeasonPlan:
+    """Give the plan of a season. Raises UsageError for more rows than fit."""
+    from drivers.sim.season_writer import SeasonPlan
+
+    try:
+        return SeasonPlan(days, (rows - rows // 2, rows // 2) if rebond else (rows,))
+    except ValueError as error:
+        msg = f"--season {days:g} --rows {rows}: {error}; fewer rows or more days"
+        raise UsageError(msg) from None
+
+
+def _write_season(config: Config, directory: Path, plan: SeasonPlan) -> tuple[Path, ...]:
+    from drivers.sim.season_writer import write_season
+
+    return write_season(directory, config.site(), config.simulation.settings(), plan).parts
 
 
 def simulated(source: Path, clock: str, now_utc: datetime) -> str:
@@ -126,3 +193,11 @@ def _say_next(config: Path, directory: Path) -> None:
     say(f"dcam-ctl {flag} capture")
     say(f"dcamd {flag} --max-slots 60")
     say(f"dcam-ctl {flag} plot --output {shlex.quote(str(directory / 'record.png'))}")
+
+
+def _say_next_of_season(config: Path, parts: tuple[Path, ...]) -> None:
+    flag = f"--config {shlex.quote(str(config))}"
+    for part in parts:
+        frames, table = shlex.quote(str(part)), shlex.quote(f"{part}.csv")
+        say(f"dcam-ctl {flag} calibrate --from {frames} --accept")
+        say(f"dcam-ctl {flag} reprocess --from {frames} --output {table}")

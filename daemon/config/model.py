@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,10 +16,10 @@ from pydantic import Field, PrivateAttr, Strict
 
 from core.site import Site, StabilityBudget
 from daemon.config.alarm import AlarmSection
+from daemon.config.simulation import SimulationSection
 from daemon.config.site import (
     CamerasSection,
     Directory,
-    Instant,
     QualitySection,
     RigSection,
     Section,
@@ -30,15 +29,6 @@ from daemon.config.site import (
 )
 from daemon.retention.rules import Rules
 from drivers.protocols import HeadSettings, LineOut, Role, TriggerIn
-from drivers.sim.settings import (
-    AsBuilt,
-    Motion,
-    Optics,
-    Scenario,
-    ScenarioKind,
-    Sensor,
-    SimSettings,
-)
 
 if TYPE_CHECKING:  # scheduler and cameras are loaded by who runs slots, not by who reads a config
     from daemon.burst import BurstPlan
@@ -202,66 +192,6 @@ class ReplaySection(Section):
     """`[replay]`: the frame set that the `replay` backend plays."""
 
     directory: Directory | None = None
-
-
-class ScenarioSection(Section):
-    """`[[simulation.scenarios]]`: something that happens to the simulated rig for a while."""
-
-    kind: ScenarioKind
-    start_min: float = Field(default=0.0, ge=0)
-    end_min: float | None = Field(default=None, gt=0)
-    role: Role | None = None
-    repeat_min: float | None = Field(default=None, gt=0)
-
-
-class SimulationSection(Section):
-    """`[simulation]`: the rig behind `backend = "simulated"`."""
-
-    seed: int = Field(default=1, ge=0)
-    clock: Literal["stepped", "system"] = "stepped"
-    start_utc: Instant = datetime(2026, 3, 1, tzinfo=UTC)
-    clock_start_utc: Instant | None = None
-    scenarios: Annotated[tuple[ScenarioSection, ...], Strict(strict=False)] = (
-        ScenarioSection(kind="drift"),
-        ScenarioSection(kind="bridge"),
-    )
-    drift_mrad: float = Field(default=1.0, ge=0, le=100.0)
-    drift_mm: float = Field(default=1.5, ge=0, le=100.0)
-    drift_period_min: float = Field(default=720.0, gt=0)
-    bridge_daily_mm: float = Field(default=5.0, ge=0, le=1000.0)
-    bridge_period_min: float = Field(default=1440.0, gt=0)
-    bridge_small_mm: float = Field(default=0.3, ge=0, le=1000.0)
-    vibration_mrad: float = Field(default=0.05, ge=0, le=10.0)
-    ramp_min: float = Field(default=10.0, ge=0)
-    night_light: float = Field(default=0.005, ge=0, le=1.0)
-    dusk_min: float = Field(default=0.0, ge=0)
-    haze_mm: float = Field(default=0.3, ge=0, le=100.0)
-    as_built_scale: float = Field(default=1.0, ge=0, le=10.0)
-    noise: bool = True
-    head_angles: Directory | None = None
-
-    def settings(self) -> SimSettings:
-        """Convert to the simulated rig's type."""
-        return SimSettings(
-            seed=self.seed,
-            start_utc=self.start_utc,
-            scenarios=tuple(Scenario(**scenario.model_dump()) for scenario in self.scenarios),
-            motion=Motion(
-                drift_mrad=self.drift_mrad,
-                drift_mm=self.drift_mm,
-                drift_period_min=self.drift_period_min,
-                bridge_daily_mm=self.bridge_daily_mm,
-                bridge_period_min=self.bridge_period_min,
-                bridge_small_mm=self.bridge_small_mm,
-                vibration_mrad=self.vibration_mrad,
-                ramp_min=self.ramp_min,
-            ),
-            as_built=AsBuilt(scale=self.as_built_scale),
-            optics=Optics(
-                night_light=self.night_light, dusk_min=self.dusk_min, haze_mm=self.haze_mm
-            ),
-            sensor=Sensor(noise=self.noise),
-        )
 
 
 class Config(Section):

@@ -11,9 +11,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from daemon.config.model import BURST_SHARE, DEFAULT_STATE_DIRECTORY, Config, SimulationSection
+from daemon.config.model import BURST_SHARE, DEFAULT_STATE_DIRECTORY, Config
 from daemon.config.plausibility import implausible_values
 from daemon.config.problems import describe_problems
+from daemon.config.simulation import SimulationSection
 from daemon.errors import ConfigError
 from daemon.file_errors import file_error_text
 from drivers.heads.port_name import port_problem
@@ -113,12 +114,7 @@ def _contradictions(config: Config) -> list[str]:
                 f"pan_tilt.home_deg: {axis} {home:g} is not within {axis}_limits_deg = "
                 f"[{low:g}, {high:g}]"
             )
-    for number, scenario in enumerate(config.simulation.scenarios):
-        if scenario.end_min is not None and scenario.end_min <= scenario.start_min:
-            problems.append(
-                f"simulation.scenarios[{number}].end_min: must be greater than start_min = "
-                f"{scenario.start_min:g}, is {scenario.end_min:g}"
-            )
+    problems += config.simulation.problems(names)
     return problems
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import re
 import tomllib
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -9,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from daemon.config.reading import load_config
+from drivers.frameset import read_frame_set
 from tests.daemon.commands.conftest import Ctl
 from tests.laboratory import laboratory
 
@@ -90,3 +93,76 @@ def test_nothing_that_is_there_is_overwritten(
     assert len(ran.err.splitlines()) == 1
     assert "name another" in ran.err
     assert (trial / "dcam.toml" if there == "a trial" else trial).read_text() == "mine"
+
+
+FURTHER = """
+[[target.extra]]
+name = "abutment"
+role = "fixed"
+kind = "circles"
+centres_mm = [[-7.0, 5.0], [7.0, 5.0], [0.0, 0.0], [-7.0, -5.0], [7.0, -5.0]]
+diameter_mm = 4.0
+distance_mm = 11200.0
+distance_sigma_mm = 20.0
+[simulation.climate]
+air_seasonal_k = 12.0
+[simulation.breathing]
+cameras_urad_per_k = [2.0, 2.0, 0.0]
+[[simulation.plates]]
+name = "abutment"
+offset_mm = [50.0, 10.0]
+"""
+
+
+def test_a_season_is_written_as_frame_sets_with_its_truth(
+    ctl: Ctl, own: Path, tmp_path: Path
+) -> None:
+    """Both parts read, with temperatures, plate and breath; the commands name them in turn."""
+    own.write_text(OWN.replace(laboratory(640, "aravis"), laboratory(240, "aravis")) + FURTHER)
+    trial = tmp_path / "trial"
+    season = ("--season", "100", "--rows", "5", "--rebond")
+    ran = ctl("simulate", "site", "--config", own, "--output", trial, *season)
+    assert ran.code == 0, ran.err
+    words = [line.split() for line in ran.out.splitlines()]
+    assert [(word[3], Path(word[5]).name) for word in words] == [
+        *(("calibrate", "first"), ("reprocess", "first")),
+        *(("calibrate", "second"), ("reprocess", "second")),
+    ]
+    for part, count in (("first", 3), ("second", 2)):
+        rows = read_frame_set(trial / part).rows_of("measure")
+        assert len(rows) == count
+        assert all(row.main_temperature_c is not None for row in rows)
+        with (trial / part / "truth.csv").open(newline="") as table:
+            truth = list(csv.DictReader(table))
+        assert len(truth) == count + 1
+        assert {float(row["abutment_x_mm"]) for row in truth} == {0.0}
+        assert abs(float(truth[-1]["shift_u_px"])) > 0.01
+
+
+@pytest.mark.parametrize(
+    ("further", "words", "message"),
+    [
+        (
+            FURTHER.replace("[50.0, 10.0]", "[5.0, 10.0]"),
+            (),
+            r"mine.toml: simulation.plates: 'abutment' would stand over 'main'",
+        ),
+        (
+            FURTHER.replace('plates]]\nname = "abutment"', 'plates]]\nname = "pylon"'),
+            (),
+            r'mine.toml: simulation.plates\[0\].name: "pylon" is no plate of .*there: "abutment"',
+        ),
+        ("", ("--season", "1", "--rows", "40"), "--season 1 --rows 40: .*fewer rows or more days"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused_and_nothing_written(
+    ctl: Ctl, own: Path, tmp_path: Path, further: str, words: tuple[str, ...], message: str
+) -> None:
+    """One line: what, where, what to do."""
+    own.write_text(OWN + further)
+    trial = tmp_path / "trial"
+    ran = ctl("simulate", "site", "--config", own, "--output", trial, *words)
+    assert ran.code == (2 if words else 3)
+    assert len(ran.err.splitlines()) == 1
+    assert re.search(message, ran.err)
+    assert not trial.exists()
