@@ -14,6 +14,7 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.geometry.pose import Pose
+from core.site import CameraGeometry
 from drivers.sim.climate import DAY_S, TrueClimate
 from drivers.sim.geometry import TrueBoard, TrueLens
 from drivers.sim.settings import SimSettings
@@ -112,6 +113,28 @@ class TrueBreathing:
         turn = Pose.from_vectors(turn_rad, np.zeros(3))
         pushed_mm = growth * (self._middle_mm - self._fixed_mm)
         return Pose(turn.R, self._fixed_mm + turn.R @ (pushed_mm - self._fixed_mm))
+
+
+def pose_by_shift(
+    lens: TrueLens, camera: CameraGeometry, T_CS_WS: Pose, board: TrueBoard, shift_px: FloatArray
+) -> FloatArray:
+    """(6,) change of the board's pose, as `Pose.perturbed` has it, that a shifted image feigns.
+
+    A lens without distortion feigns a translation only. With distortion, which shifts along with
+    the principal point, part of the shift looks like a turn: for k1 = -0.09, 4 urad in 0.02 px of a
+    6 mm lens. To first order, least squares over the corners in view.
+    """
+    corners_mm = board.corners_mm().reshape(-1, 3)
+    seen_px = lens.project(T_CS_WS.apply(corners_mm))
+    in_view = np.all((seen_px > 0.0) & (seen_px < 2.0 * camera.centre_px), axis=1)
+    steps = np.diag([1e-5, 1e-5, 1e-5, 1e-3, 1e-3, 1e-3])
+    columns = [
+        lens.project(T_CS_WS.perturbed(step).apply(corners_mm[in_view]))
+        - lens.project(T_CS_WS.perturbed(-step).apply(corners_mm[in_view]))
+        for step in steps
+    ]
+    J = np.stack([column.ravel() for column in columns], axis=1) / (2.0 * steps.sum(axis=0))
+    return np.asarray(np.linalg.lstsq(J, np.tile(shift_px, int(in_view.sum())), rcond=None)[0])
 
 
 def random_walk(seed: Sequence[int], days: float, components: int) -> FloatArray:

@@ -46,8 +46,8 @@ class Truth:
     """What disturbs the images: night, an insect ..."""
     shift_px: FloatArray
     """(2,) of the main target's centre in the image by what the two cameras do not share: turns
-    and creep between them, the main lens, the air, and the board on the pier, whose movement the
-    sub-camera takes for the rig's. The sub-camera's own lens is left out: it does no harm."""
+    and creep between them, the main lens, the air, and what the sub-camera takes for the rig's
+    motion although it is the board's on the pier or a shift of its own lens."""
     temperature: Temperatures
     plates: Mapping[str, PlateTruth]
     """Of the site's further plates, in its order."""

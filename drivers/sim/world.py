@@ -13,7 +13,7 @@ from core.arrays import FloatArray
 from core.geometry.pose import Pose
 from core.site import Site
 from drivers.protocols import Image, Role
-from drivers.sim.breathing import Breath, TrueBreathing
+from drivers.sim.breathing import Breath, TrueBreathing, pose_by_shift
 from drivers.sim.climate import TrueClimate
 from drivers.sim.effects import draw_cobweb, draw_cover, draw_glare, draw_insect, draw_snow, haze_mm
 from drivers.sim.geometry import (
@@ -329,10 +329,14 @@ class World:
         return bonded.compose(state.breath.T_WS0_WS).compose(self._slip)
 
     def _seen_motion(self, state: _State) -> Pose:
-        """The rig's motion from rest as the bonded board shows it, which itself may have moved."""
-        T_CS_WS = self.geometry.T_CS_WS
-        board = T_CS_WS.compose(state.breath.T_WS0_WS).compose(T_CS_WS.inverse())
-        return state.T_CSj_CS0.compose(board)
+        """The rig's motion from rest as the bonded board shows it through the shifted lens."""
+        true = self.geometry
+        T_CSj_WS = state.T_CSj_CS0.compose(true.T_CS_WS).compose(state.breath.T_WS0_WS)
+        shift_px = state.breath.sub_shift_px
+        if shift_px.any():
+            feigned = pose_by_shift(true.sub, self.site.sub, true.T_CS_WS, true.board, shift_px)
+            T_CSj_WS = T_CSj_WS.perturbed(feigned)
+        return T_CSj_WS.compose(true.T_CS_WS.inverse())
 
     def _project_main(self, plate: TruePlate, state: _State, points_mm: FloatArray) -> FloatArray:
         lens = state.breath.main_lens(self.geometry.main)

@@ -7,6 +7,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from drivers.clock import SteppedClock
 from drivers.protocols import Role
@@ -116,6 +117,33 @@ def test_the_sub_lens_shifts_the_board_only() -> None:
     moved = world.board_corners_px(WARM) - world.board_corners_px(COLD)
     assert moved == pytest.approx(np.broadcast_to([0.5, 0.0], moved.shape), abs=1e-9)
     assert np.abs(_moved_px(world)).max() == 0.0
+
+
+@pytest.mark.parametrize(("k1", "at_least_mm"), [(0.0, 0.0), (-0.09, 0.8)])
+def test_a_shift_of_a_distorted_sub_lens_is_taken_for_a_turn_of_the_rig(
+    k1: float, at_least_mm: float
+) -> None:
+    """0.2 px of a 6 mm lens with k1 = -0.09 are 41 urad, 0.9 mm at 22 m; without distortion none.
+
+    As a least-squares fit of the board's pose with the lens of the reference finds it.
+    """
+    built = replace(AS_DRAWN, sub_distortion=(k1, 0.0, 0.0, 0.0, 0.0))
+    settings = replace(_settings(sub_px_per_k=(0.02, 0.0)), as_built=built)
+    world = World(site(shrink=1, distance_mm=FAR_MM), settings, renders=False)
+    lens, T_CS_WS = world.geometry.sub, world.geometry.T_CS_WS
+    corners_mm = world.geometry.board.corners_mm().reshape(-1, 3)
+    seen_px = world.board_corners_px(WARM).reshape(-1, 2)
+    inside = np.all((seen_px > 0.0) & (seen_px < [1919.0, 1199.0]), axis=1)
+    unit = np.repeat([1e-4, 1e-2], 3)
+
+    def misses_px(step: np.ndarray) -> np.ndarray:
+        pose = T_CS_WS.perturbed(unit * step)
+        return (lens.project(pose.apply(corners_mm[inside])) - seen_px[inside]).ravel()
+
+    turn_rad = (unit * least_squares(misses_px, np.zeros(6), xtol=1e-12, ftol=1e-12).x)[:3]
+    shift_mm = world.truth(WARM).shift_px * FAR_MM / world.site.main.focal_px
+    assert np.abs(shift_mm[0]) == pytest.approx(np.abs(turn_rad[1]) * FAR_MM, rel=0.02, abs=0.012)
+    assert np.abs(shift_mm[0]) >= at_least_mm
 
 
 def test_a_turning_board_is_taken_for_the_rig() -> None:
