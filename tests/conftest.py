@@ -1,6 +1,8 @@
 """For all tests: numerics with one thread, as in our programs. Loaded before anything of numpy."""
 
+import os
 import signal
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +12,11 @@ import daemon  # noqa: F401
 from tests.drivers.genicam.usb3 import bench
 
 bench.load()  # ahead of Aravis, whichever test loads that
+
+# Programs that the tests start would compile all their code at each start, which takes longer than
+# what they are started for.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # A shell that starts the tests in the background has them ignore Ctrl-C, and programs inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
