@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sqlite3
 import stat
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 import structlog
 
-from daemon.store import sqlite
+from daemon.store import engine, sqlite
 from daemon.store.database import Store
 from daemon.store.records import MeasurementRecord
 from daemon.times import slot_text
@@ -23,11 +24,11 @@ Sabotage = Callable[[pytest.MonkeyPatch], None]
 
 
 def row_never_synced(patch: pytest.MonkeyPatch) -> None:
-    weaken(patch, "OFF", 0)
+    weaken(patch, "OFF")
 
 
 def row_synced_later(patch: pytest.MonkeyPatch) -> None:
-    weaken(patch, "NORMAL", 1)
+    weaken(patch, "NORMAL")
 
 
 def frame_not_synced(patch: pytest.MonkeyPatch) -> None:
@@ -50,10 +51,15 @@ def acknowledged_before_commit(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Store, "add_measurement", acknowledge_first)
 
 
-def weaken(patch: pytest.MonkeyPatch, value: str, number: int) -> None:
+def weaken(patch: pytest.MonkeyPatch, value: str) -> None:
     """Let every connection sync less than FULL."""
-    pragmas = [pragma for pragma in sqlite._PRAGMAS if pragma[0] != "synchronous"]
-    patch.setattr(sqlite, "_PRAGMAS", (*pragmas, ("synchronous", value, number)))
+
+    def connect(path: Path) -> sqlite3.Connection:
+        connection = sqlite.connect(path)
+        connection.execute(f"PRAGMA synchronous={value}").close()
+        return connection
+
+    patch.setattr(engine, "connect", connect)
 
 
 def leave_out(patch: pytest.MonkeyPatch, left_out: Callable[[int], bool]) -> None:

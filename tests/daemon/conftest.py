@@ -26,6 +26,7 @@ from daemon.slots.pipeline import SlotContext
 from daemon.slots.recovery import recover
 from daemon.slots.reporting import Reporter
 from daemon.slots.runner import SlotRunner
+from daemon.slots.supervision import Circuit
 from daemon.store.database import open_store
 from daemon.store.frames.archive import FrameArchive
 from drivers.clock import SteppedClock
@@ -105,11 +106,17 @@ class Station:
             SITE, "hash", self.store, self.archive, self.clock, disk, machine=machine
         )
 
-    def start(self, boot_id: str = "boot-1") -> SlotRunner:
+    def start(self, boot_id: str = "boot-1", circuit: Circuit | None = None) -> SlotRunner:
         self.context = self.pipeline(boot_id)
         last = recover(self.context, self.schedule)
         return SlotRunner(
-            self.context, self.schedule, self.source, self.stop, last, Reporter(Notifier(None))
+            self.context,
+            self.schedule,
+            self.source,
+            self.stop,
+            last,
+            Reporter(Notifier(None)),
+            circuit=circuit,
         )
 
     def run(self, slots: int, orders: dict | None = None, boot_id: str = "boot-1") -> None:

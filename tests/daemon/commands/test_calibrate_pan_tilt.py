@@ -78,14 +78,14 @@ class Watched:
 
     def set_exposure(self, role: str, exposure_us: float, gain_db: float | None) -> None:
         self.exposures.append((role, exposure_us, gain_db))
-        self._true_source.set_exposure(role, exposure_us, gain_db)
+        self.true_source.set_exposure(role, exposure_us, gain_db)
 
     def capture(self, slot_utc: datetime) -> CapturedPair:
         off = self.swing(self._since)
         self.world.turn_head(self.moves[-1][0] + off[0], self.moves[-1][1] + off[1])
         self._since += 1
         self.captures += 1
-        return self.spoil(self.captures, self._true_source.capture(slot_utc))
+        return self.spoil(self.captures, self.true_source.capture(slot_utc))
 
     def close(self) -> None:
         pass
@@ -96,7 +96,7 @@ def watched(config: Path) -> Watched:
     clock = open_clock(loaded, begin_utc=BEGIN)
     devices = open_simulated_rig(loaded, clock)
     made = Watched(None, devices.world)
-    made._true_source = devices.source
+    made.true_source = devices.source
     made.devices = CalibrationDevices(loaded.site(), made, made, Limits(5.0, 5.0), clock, None)
     return made
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import pwd
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -225,7 +224,8 @@ def found_at(monkeypatch: pytest.MonkeyPatch, **addresses: str) -> None:
         raise DeviceLostError(msg)
 
     monkeypatch.setattr(devices, "found_on_network", lambda _config: addresses)
-    monkeypatch.setattr("daemon.devices._aravis", lambda: gone)
+    monkeypatch.setattr("drivers.genicam.aravis.AravisCamera", gone)
+    monkeypatch.setattr("drivers.genicam.aravis_device.load_aravis", lambda: None)
 
 
 def test_gige_cameras_in_order(check, computer: Computer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -280,7 +280,7 @@ def test_room_is_held_against_the_retention(
     """A slot has 0.512 MB; 2 days of 1440, 8 of 24 and 355 of one are 3427 of them: 1.75 GB."""
     retention = f"{SIMULATED}\n[retention]\nevery_slot_days = 2\nhourly_days = 10\n"
     for free_gb, state in ((6.7, "warning"), (6.8, "ok")):
-        usage = shutil._ntuple_diskusage(10**12, 0, int(free_gb * 1e9))
+        usage = SimpleNamespace(total=10**12, used=0, free=int(free_gb * 1e9))
         monkeypatch.setattr("daemon.checks.disk.shutil.disk_usage", lambda _path, u=usage: u)
         found = check(f"{retention}min_free_gb = 5.0\n")[1]["disk"]
         assert found[0] == state

@@ -83,8 +83,7 @@ def test_slots_that_fail_for_an_unexpected_reason_end_the_process(station) -> No
 
 def test_every_end_of_a_process_makes_the_next_one_more_patient(station) -> None:
     bug = raising(RuntimeError("a bug in a driver"))
-    runner = station.start()
-    runner._circuit = Circuit(ended_before=2)
+    runner = station.start(circuit=Circuit(ended_before=2))
     station.source.orders = dict.fromkeys(range(20), bug)
     with pytest.raises(ProcessSpentError, match="12 slot"):
         runner.run(20)

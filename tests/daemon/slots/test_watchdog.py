@@ -37,10 +37,10 @@ main.main()
 HANGS_WHEN_IT_CLOSES = """
 import ctypes, sys
 from daemon import main
-from daemon.slots import service
+from drivers.sim.cameras import SimulatedCamera
 
 main.CLOSE_LIMIT_S = 0.5
-service.Service._close_cameras = lambda _: ctypes.PyDLL(None).sleep(600)  # and keeps the GIL
+SimulatedCamera.close = lambda _: ctypes.PyDLL(None).sleep(600)  # and keeps the GIL
 main.main()
 """
 

@@ -20,6 +20,7 @@ from daemon.store.opening import damage_noted, open_checked_store
 from daemon.store.records import GapCause, Mark
 from daemon.store.salvage import damage, salvage
 from daemon.store.salvage.damage_note import databases_set_aside, note_damage, read_note
+from daemon.store.sqlite import connect_readonly
 from tests.daemon.store.examples import PERIOD_S, START, calibration, full_record, record, slot
 
 ROWS = 120
@@ -392,15 +393,15 @@ def test_a_failing_disk_is_reported_first_and_salvaged_at_the_second_start(
     state: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A bad sector does not go away; a cable that was loose does."""
-    look = damage._look
 
-    def failing(path: Path, depth: damage.Depth) -> str | None:
+    def failing(path: Path) -> sqlite3.Connection:
         if path.name == "dcam.db":
-            msg = f"{path}: disk I/O error: check permissions and the health of the disk"
-            raise DatabaseUnwritableError(msg)
-        return look(path, depth)
+            error = sqlite3.OperationalError("disk I/O error")
+            error.sqlite_errorcode = sqlite3.SQLITE_IOERR_READ
+            raise error
+        return connect_readonly(path)
 
-    monkeypatch.setattr(damage, "_look", failing)
+    monkeypatch.setattr(damage, "connect_readonly", failing)
     with pytest.raises(DatabaseUnwritableError, match="disk I/O error"):
         open_checked_store(state)
     assert databases_set_aside(state) == []
@@ -408,7 +409,7 @@ def test_a_failing_disk_is_reported_first_and_salvaged_at_the_second_start(
     open_checked_store(state).close()
     assert (databases_set_aside(state), read_note(state)) == ([], None)
 
-    monkeypatch.setattr(damage, "_look", failing)
+    monkeypatch.setattr(damage, "connect_readonly", failing)
     with pytest.raises(DatabaseUnwritableError):
         open_checked_store(state)
     with open_checked_store(state) as store:

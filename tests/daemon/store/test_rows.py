@@ -16,6 +16,7 @@ from core.results import Flag
 from daemon.errors import DatabaseBusyError, SlotTakenError, StoreError
 from daemon.store import columns, sqlite
 from daemon.store.database import Store, open_store, open_store_readonly
+from daemon.store.engine import make_engine
 from tests.daemon.store.examples import (
     BAD,
     FIXED,
@@ -142,8 +143,10 @@ def test_rows_come_in_the_order_of_slots_from_since_up_to_until(
 
 def test_every_connection_syncs_every_commit(store: Store) -> None:
     with ExitStack() as stack:
+        engine = make_engine(store.path)
+        stack.callback(engine.dispose)
         for _ in range(4):
-            connection = stack.enter_context(store._engine.connect())
+            connection = stack.enter_context(engine.connect())
             found = {
                 name: connection.exec_driver_sql(f"PRAGMA {name}").scalar()
                 for name in ("synchronous", "journal_mode", "foreign_keys", "busy_timeout")

@@ -33,8 +33,13 @@ from tests.drivers.genicam.gige.bench import (
 )
 from tests.drivers.genicam.gige.loopback import ADDRESSES
 from tests.drivers.genicam.gige.process import REPOSITORY, CameraProcess
+from tests.drivers.genicam.gige.registers import CONTROL, TRIGGER_MODE
+from tests.waiting import wait_for
 
 MAIN, SUB = "15290000", "15290001"
+GS3_XML = REPOSITORY / "tests/drivers/genicam/gige/gs3.xml"
+UNUSED = 0xB0F0
+"""An address that means nothing to the camera."""
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +66,7 @@ def camera(process: CameraProcess) -> Iterator[AravisCamera]:
     opened.open()
     yield opened
     opened.close()
+    wait_for(lambda: not left_behind(), "the device to be released")
 
 
 def opened(serial: str, **settings: Any) -> AravisCamera:
@@ -100,10 +106,16 @@ def test_a_camera_with_the_older_names_and_no_gamma_works(
 
 
 def test_a_camera_that_sends_frames_untriggered_is_refused(
-    process: CameraProcess, monkeypatch: pytest.MonkeyPatch
+    network: None, images: list[Path], tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("drivers.genicam.setup._set_trigger", lambda _writer, _trigger: None)
-    with pytest.raises(SettingRefusedError, match="frames come without trigger"):
+    """It takes the trigger mode, says that it has it, and sends as it likes."""
+    xml = tmp_path / "deaf.xml"
+    description = GS3_XML.read_text()
+    xml.write_text(description.replace(f"{TRIGGER_MODE:#x}<", f"{UNUSED:#x}<"))
+    with (
+        running(CameraProcess(ADDRESSES[0], MAIN, images, ["--xml", str(xml)])),
+        pytest.raises(SettingRefusedError, match="frames come without trigger"),
+    ):
         opened(MAIN)
 
 
@@ -146,9 +158,21 @@ def test_without_the_library_the_message_says_how_to_get_it(
 # --- faults of the link
 
 
-def test_losing_control_sets_a_flag_and_the_next_call_says_so(camera: AravisCamera) -> None:
-    device = camera._opened.session._device._device  # type: ignore[union-attr]
-    device.emit("control-lost")
+def lose_control(process: CameraProcess, camera: AravisCamera) -> None:
+    """As when the camera has restarted; Aravis looks every second."""
+    process.command(f"put {CONTROL:x}=0")
+    wait_for(lambda: camera.is_lost, "the loss to be seen")
+
+
+def left_behind() -> list[threading.Thread]:
+    """Threads of this camera's devices that still have something to release."""
+    return [thread for thread in threading.enumerate() if thread.name == f"aravis-{MAIN}"]
+
+
+def test_losing_control_sets_a_flag_and_the_next_call_says_so(
+    process: CameraProcess, camera: AravisCamera
+) -> None:
+    lose_control(process, camera)
     with pytest.raises(DeviceLostError, match="control lost"):
         camera.arm()
     with pytest.raises(DeviceLostError, match="not open"):
@@ -164,12 +188,11 @@ def test_a_library_that_hangs_costs_the_deadline_and_leaves_a_bounded_number_of_
     for _ in range(10):
         with pytest.raises(DeviceLostError):
             camera.open()
-    assert sum(thread.alive for thread in camera._left_behind) <= 5
+    assert 0 < len(left_behind()) <= 5
     with pytest.raises(DeviceLostError, match="calls into Aravis hang; restart"):
         camera.open()
     let_go.set()
-    for thread in camera._left_behind:
-        thread.end(5.0)
+    wait_for(lambda: not left_behind(), "the threads to end")
 
 
 # --- long runs
@@ -201,6 +224,18 @@ def _reconnect(
     return handles
 
 
+def quick_to_open(monkeypatch: pytest.MonkeyPatch) -> CameraSettings:
+    """Without what only takes time, one and a half seconds each time a camera is opened.
+
+    That is the look on the network for cameras, the try of packet sizes, the wait for stale
+    frames. The test of ten reconnects does all that.
+    """
+    find = functools.cache(aravis_device.find_device)
+    monkeypatch.setattr("drivers.genicam.aravis_device.find_device", find)
+    monkeypatch.setattr("drivers.genicam.session.SETTLE_S", 0.0)
+    return dataclasses.replace(SETTINGS, packet_size_bytes=1500)
+
+
 def test_ten_reconnects_leave_no_handle_and_no_thread(process: CameraProcess) -> None:
     _assert_flat(_reconnect(SETTINGS, 10))
 
@@ -208,15 +243,8 @@ def test_ten_reconnects_leave_no_handle_and_no_thread(process: CameraProcess) ->
 def test_two_hundred_reconnects_leave_nothing(
     process: CameraProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Handles, threads and memory, after what libraries keep once for all.
-
-    Without what only takes time, one and a half seconds each: the look on the network for cameras,
-    the try of packet sizes, the wait for stale frames. The test before does all that.
-    """
-    find = functools.cache(aravis_device.find_device)
-    monkeypatch.setattr("drivers.genicam.aravis_device.find_device", find)
-    monkeypatch.setattr("drivers.genicam.session.SETTLE_S", 0.0)
-    settings = dataclasses.replace(SETTINGS, packet_size_bytes=1500)
+    """Handles, threads and memory, after what libraries keep once for all."""
+    settings = quick_to_open(monkeypatch)
     handles = _reconnect(settings, 50, shots_every=10)
     grown_mb = []
     for _ in range(3):
@@ -228,17 +256,18 @@ def test_two_hundred_reconnects_leave_nothing(
     assert min(grown_mb) < 0.6, grown_mb
 
 
-def test_losses_leave_no_handle_and_no_thread(process: CameraProcess) -> None:
+def test_losses_leave_no_handle_and_no_thread(
+    process: CameraProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A lost device is released in the background: wait for that before counting."""
-    camera = AravisCamera(MAIN, SETTINGS)
+    camera = AravisCamera(MAIN, quick_to_open(monkeypatch))
     handles = []
     for _ in range(8):
         camera.open()
-        camera._opened.session._device._device.emit("control-lost")  # type: ignore[union-attr]
+        lose_control(process, camera)
         with pytest.raises(DeviceLostError):
             camera.arm()
-        for thread in camera._left_behind:
-            thread.end(10.0)
+        wait_for(lambda: not left_behind(), "the device to be released")
         handles.append(_handles())
     _assert_flat(handles)
 
@@ -257,6 +286,6 @@ def test_the_camera_of_these_tests_has_a_valid_description() -> None:
     """GenApi, the reference implementation, is stricter than Aravis."""
     genapi = pytest.importorskip("genicam.genapi", exc_type=ImportError)
     nodes = genapi.NodeMap()
-    nodes.load_xml_from_file(str(REPOSITORY / "tests/drivers/genicam/gige/gs3.xml"))
+    nodes.load_xml_from_file(str(GS3_XML))
     wanted = {"ExposureTime", "Gain", "GammaEnabled", "TriggerSoftware", "DeviceSerialNumber"}
     assert all(nodes.has_node(name) for name in wanted), json.dumps(sorted(wanted))

@@ -9,6 +9,7 @@ camera outlives the test that started it. Lines on stdin change its behaviour:
     lose 0.3     drop this share of the stream's packets
     late 0.4     let the next frame take this many seconds
     show b020    say `register VALUE` of an address, as 4 bytes
+    put a00=0    write 4 bytes at an address, as if something else had
     edge 3       a rising edge arrives at this line (no answer)
 
 It says `line N` when it exposes and its line N shows that: the wire is whoever reads it.
@@ -89,6 +90,10 @@ class FakeCamera:
             for offset, (word,) in enumerate(struct.iter_unpack(">I", data)):
                 self._camera.write_register(address + 4 * offset, word)
 
+    def put(self, address: int, value: int) -> None:
+        """Write what stands at an address."""
+        self._write({address: value})
+
     def register(self, address: int) -> int:
         """What stands at an address."""
         return int(self._camera.read_register(address)[1])
@@ -163,6 +168,9 @@ def _obey(camera: FakeCamera) -> None:
         elif verb == "show":
             _say(f"register {camera.register(int(value, 16))}")
             continue
+        elif verb == "put":
+            address, number = (int(part, 16) for part in value.split("="))
+            camera.put(address, number)
         elif verb == "edge":
             camera.edge(int(value))
             continue
