@@ -37,9 +37,10 @@ from daemon.slots.measuring import (
 )
 from daemon.slots.row_history import RowHistory
 from daemon.store.database import NEVER, open_store_readonly
+from daemon.store.datum import in_record_zero
 from daemon.store.frames.archive import FrameArchive
 from daemon.store.json_fields import result_fields
-from daemon.store.records import CalibrationRecord
+from daemon.store.records import CalibrationRecord, DatumRecord
 from daemon.times import EPOCH
 from drivers.frameset import FrameSet, FrameSetRow, read_frame_set
 
@@ -84,6 +85,7 @@ def command(
 ) -> None:
     """Measure frames again, one line a pair, in order, whatever the images show.
 
+    Values are in the record's zero: the datum of the calibration is in them, see dcam-ctl datum.
     The database is only read. A missing or damaged image gives a line with its flag and reason.
     flag: 1 good, 3 suspect (value given, reason named), 4 bad (value withheld), 9 missing.
     """
@@ -104,7 +106,8 @@ def command(
     sequence = RowHistory(calibration, site.quality)
     with progress(len(jobs), "measuring") as steps:
         for slot_utc, measure in jobs:
-            results.append((slot_utc, sequence.judge(slot_utc, measure())))
+            judged = sequence.judge(slot_utc, measure())
+            results.append((slot_utc, in_record_zero(judged, calibration.datum)))
             steps.next()
     targets = [extra.name for extra in site.extra_targets]
     tell(results, calibration.id, output, targets, as_json=as_json)
@@ -115,6 +118,7 @@ def chosen_calibration(
 ) -> ActiveCalibration:
     """Read a calibration, or the active one. Raises WorkFailedError when there is none."""
     known: list[int | None] = []
+    datum: DatumRecord | None = None
     try:
         with open_store_readonly(state) as store:
             record = (
@@ -124,6 +128,8 @@ def chosen_calibration(
             )
             if record is None:
                 known = [made.id for made in store.calibrations()]
+            else:
+                datum = store.datum(record.id)
     except DatabaseMissingError:
         record = None
     if record is None:
@@ -137,7 +143,7 @@ def chosen_calibration(
         raise WorkFailedError(msg)
     if record.config_hash != config.config_hash():
         note(f"warning: the config has changed since calibration {record.id} was made")
-    return ActiveCalibration(record.id, read_calibration(record))
+    return ActiveCalibration(record.id, read_calibration(record), datum)
 
 
 def read_calibration(record: CalibrationRecord) -> Calibration:

@@ -20,6 +20,7 @@ from core.rig.stability import Moment
 from core.site import CameraGeometry, Site
 from daemon.store.database import Store
 from daemon.store.frames.archive import ArchivedPair, FrameArchive
+from daemon.store.records import DatumRecord
 from daemon.times import slot_text
 from drivers.errors import FrameSetError, ImageMissingError
 from drivers.frameset import FrameSetRow, read_image
@@ -37,6 +38,8 @@ class ActiveCalibration:
 
     id: int | None
     calibration: Calibration
+    datum: DatumRecord | None = None
+    """Where its reference lies in the record's zero; None: there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +71,7 @@ def active_calibration(store: Store) -> ActiveCalibration | None:
     if record is None:
         return None
     try:
-        return ActiveCalibration(record.id, record.calibration)
+        return ActiveCalibration(record.id, record.calibration, store.datum(record.id))
     except CalibrationError as error:
         _log.error("calibration_unreadable", calibration=record.id, error=str(error))
         return None

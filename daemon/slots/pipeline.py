@@ -31,8 +31,9 @@ from daemon.slots.measuring import (
 from daemon.slots.row_history import judge_in_history
 from daemon.slots.supervision import Action, Policy, policy_of
 from daemon.store.database import NEVER, Store
+from daemon.store.datum import in_record_zero
 from daemon.store.frames.archive import FrameArchive, StoredPair, camera_state
-from daemon.store.records import GapCause, MeasurementRecord
+from daemon.store.records import DatumRecord, GapCause, MeasurementRecord
 from daemon.times import slot_text
 from daemon.version import VERSION
 from drivers.errors import DeviceError, DeviceLostError, DriverError
@@ -102,7 +103,7 @@ def run_slot(
         context.disk.with_room(lambda: add(record))
     except Exception as error:  # noqa: BLE001 - as above; frames that were kept are measured late
         return _missed(slot_utc, error, GapCause.STORAGE_FAILED)
-    _acknowledge(context, record, started_s)
+    _acknowledge(context, record, calibration.datum if calibration else None, started_s)
     return record
 
 
@@ -113,8 +114,9 @@ def record_late(context: SlotContext, slot_utc: datetime) -> MeasurementRecord:
     """
     started_s = context.clock.monotonic_s()
     record = measure_stored(context, slot_utc)
+    datum = context.store.datum(record.calibration_id)
     context.store.add_measurement(record)
-    _acknowledge(context, record, started_s)
+    _acknowledge(context, record, datum, started_s)
     context.late_row_done(slot_utc)
     return record
 
@@ -228,9 +230,12 @@ def _keep_frames(
     return first
 
 
-def _acknowledge(context: SlotContext, record: MeasurementRecord, started_s: float) -> None:
-    """Say that the slot is done; only of a row that is on the disk."""
-    measurement, displacement = record.measurement, record.measurement.corrected
+def _acknowledge(
+    context: SlotContext, record: MeasurementRecord, datum: DatumRecord | None, started_s: float
+) -> None:
+    """Say that the slot is done, in the record's zero; only of a row that is on the disk."""
+    measurement = in_record_zero(record.measurement, datum)
+    displacement = measurement.corrected
     x_mm, y_mm = displacement.mm.round(4).tolist() if displacement else (None, None)
     _log.info(
         "slot_done",

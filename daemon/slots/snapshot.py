@@ -16,6 +16,7 @@ from daemon.schedule import Schedule
 from daemon.slots.measuring import ActiveCalibration, image_pair, measure
 from daemon.slots.row_history import judge_in_history
 from daemon.store.database import Store
+from daemon.store.datum import in_record_zero
 from daemon.store.json_fields import plain, result_fields
 from drivers.protocols import CapturedFrame, CapturedPair
 
@@ -43,16 +44,17 @@ def measure_look(
     calibration: ActiveCalibration | None,
     store: Store | None,
 ) -> Measurement:
-    """Measure pairs as a slot's row would be, held against the rows of `store`.
+    """Measure pairs as a slot's row is read: held against those of `store`, in the record's zero.
 
     Raises StoreError.
     """
     measurement = measure(
         (image_pair(shot.pair, shot.captured_utc) for shot in shots), site, calibration
     )
-    if store is None:
+    if store is None or calibration is None:
         return measurement
-    return judge_in_history(store, calibration, site.quality, slot_utc, measurement)
+    judged = judge_in_history(store, calibration, site.quality, slot_utc, measurement)
+    return in_record_zero(judged, calibration.datum)
 
 
 def look_fields(

@@ -6,21 +6,36 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from daemon.store.convert import calibration_record, calibration_row
-from daemon.store.records import CalibrationRecord
-from daemon.store.schema import ActivationRow, CalibrationRow
+from daemon.store.datum import datum_columns
+from daemon.store.records import CalibrationRecord, DatumRecord
+from daemon.store.schema import ActivationRow, CalibrationRow, DatumRow
 
 
-def add(session: Session, record: CalibrationRecord, *, activate: bool) -> int:
-    """Store a calibration, and make it the one in use if asked; give its id.
+def add(
+    session: Session,
+    record: CalibrationRecord,
+    datum: DatumRecord | None = None,
+    *,
+    activate: bool,
+) -> int:
+    """Store a calibration with its datum, and make it the one in use if asked; give its id.
 
     Raises ValueError for content that is not plain, finite JSON.
     """
     row = calibration_row(record)
     session.add(row)
     session.flush()
+    if datum is not None:
+        add_datum(session, row.id, datum)
     if activate:
         session.add(ActivationRow(calibration_id=row.id, activated_utc=record.created_utc))
     return row.id
+
+
+def add_datum(session: Session, calibration_id: int, record: DatumRecord) -> None:
+    """Give a calibration a link that holds from now on. Raises ValueError unless it is finite."""
+    session.add(DatumRow(calibration_id=calibration_id, **datum_columns(record)))
+    session.flush()
 
 
 def active(session: Session) -> CalibrationRecord | None:

@@ -18,6 +18,7 @@ import numpy as np
 from core.arrays import FloatArray
 from daemon.store.checksum import not_as_written
 from daemon.store.checksum_columns import damaged_rows
+from daemon.store.datum import Datums, columns_in_record_zero, read_datums
 from daemon.store.runs import next_second
 from daemon.store.sqlite import any_text, connect_readonly, is_damage, said_plainly
 from daemon.times import slot_text
@@ -52,9 +53,16 @@ class Columns:
 
 
 def read_columns(
-    path: Path, since: datetime, until: datetime, tell: Tell = lambda _done, _total: None
+    path: Path,
+    since: datetime,
+    until: datetime,
+    tell: Tell = lambda _done, _total: None,
+    *,
+    as_stored: bool = False,
 ) -> Iterator[Columns]:
     """Rows with since <= slot < until, in the order of their slots, many at a time.
+
+    In the record's zero; `as_stored` leaves each counting from its own calibration's reference.
 
     Each batch is a transaction of its own: a slow reader keeps neither memory nor the write-ahead
     log. Raises DatabaseDamagedError, which names the first row that is not what was written.
@@ -66,7 +74,11 @@ def read_columns(
         total, done = connection.execute(count, limits).fetchone()[0], 0
         tell(done, total)
         query = f"SELECT * FROM measurement WHERE {within} ORDER BY slot_utc LIMIT {BATCH}"  # noqa: S608
+        datums: Datums = {}
         while batch := _batch(connection, query, limits):
+            if not as_stored:  # a link made since must not move the zero within one table
+                datums = {**read_datums(connection), **datums}
+                batch = Columns(columns_in_record_zero(batch.values, datums))
             yield batch
             done += len(batch)
             tell(done, max(total, done))  # the daemon may have added rows since

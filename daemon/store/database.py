@@ -20,7 +20,7 @@ from sqlalchemy.orm import Session
 
 from daemon.durable import fsync_directory
 from daemon.errors import DatabaseDamagedError
-from daemon.store import calibrations, events, frame_days, measurements, undated
+from daemon.store import calibrations, datum, events, frame_days, measurements, undated
 from daemon.store import gaps as gap_runs
 from daemon.store.accounting import missing_slots
 from daemon.store.columns import read_columns
@@ -35,6 +35,7 @@ from daemon.store.preparing import path_for_writing
 from daemon.store.records import (
     CalibrationRecord,
     Coverage,
+    DatumRecord,
     EventRecord,
     FrameDay,
     GapCause,
@@ -135,9 +136,13 @@ class Store:
     def measurements(
         self, since: datetime = ALWAYS, until: datetime = NEVER
     ) -> Iterator[MeasurementRecord]:
-        """Rows with since <= slot < until, in order, as `read_columns`, which is far faster."""
+        """Rows with since <= slot < until, in order, as they are stored.
+
+        Each counts from its own calibration's reference; `read_columns` gives them in one zero,
+        and far faster.
+        """
         with self._translated():
-            for batch in read_columns(self.path, since, until):
+            for batch in read_columns(self.path, since, until, as_stored=True):
                 for values in batch.rows():
                     yield measurement_record(values)
 
@@ -277,13 +282,35 @@ class Store:
 
     # Calibrations
 
-    def add_calibration(self, record: CalibrationRecord, *, activate: bool = False) -> int:
-        """Store a calibration for good, and make it the active one if asked; give its id.
+    def add_calibration(
+        self,
+        record: CalibrationRecord,
+        datum: DatumRecord | None = None,
+        *,
+        activate: bool = False,
+    ) -> int:
+        """Store a calibration for good with its datum, active if asked; give its id.
 
         Raises ValueError for content that is not plain, finite JSON.
         """
         with self._write() as session:
-            return calibrations.add(session, record, activate=activate)
+            return calibrations.add(session, record, datum, activate=activate)
+
+    def add_datums(self, links: Mapping[int, DatumRecord]) -> None:
+        """Give calibrations, by their numbers, new links: all of them or none."""
+        with self._write() as session:
+            for calibration_id, link in links.items():
+                calibrations.add_datum(session, calibration_id, link)
+
+    def datum_links(self) -> list[DatumRecord]:
+        """All links of calibrations to the record's zero, oldest first; the newest ones hold."""
+        with self._read() as connection:
+            return datum.read_links(connection)
+
+    def datum(self, calibration_id: int | None) -> DatumRecord | None:
+        """The link that holds of a calibration."""
+        with self._read() as connection:
+            return datum.datum_of(connection, calibration_id)
 
     def active_calibration(self) -> CalibrationRecord | None:
         """The calibration in use."""

@@ -10,14 +10,15 @@ import math
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
 from core.results import Flag, TargetMeasurement
 from daemon.store.convert import measurement_record, stored_time
+from daemon.store.datum import datum_of, in_record_zero
 from daemon.store.reading import fetch, value, whole_rows
-from daemon.store.records import Coverage, GapCause, GapRecord, Mark, MeasurementRecord
+from daemon.store.records import Coverage, DatumRecord, GapCause, GapRecord, Mark, MeasurementRecord
 from daemon.store.revisions import require_head
 from daemon.store.runs import next_second, overlap, run_between, slot_at
 from daemon.store.sqlite import connect_readonly, existing_path, said_plainly
@@ -114,10 +115,18 @@ class Overview:
         return (min(known), max(known)) if known else None
 
     def last_row(self) -> MeasurementRecord | None:
-        """The row of the latest slot that has one."""
+        """The row of the latest slot that has one, in the record's zero."""
         query = "SELECT * FROM measurement ORDER BY slot_utc DESC LIMIT 1"
         found = whole_rows(self._connection, "measurement", query)
-        return measurement_record(found[0]) if found else None
+        if not found:
+            return None
+        record = measurement_record(found[0])
+        datum = self.datum(record.calibration_id)
+        return replace(record, measurement=in_record_zero(record.measurement, datum))
+
+    def datum(self, calibration_id: int | None) -> DatumRecord | None:
+        """The link of a calibration to the record's zero."""
+        return datum_of(self._connection, calibration_id)
 
     def last_good_slot(self, since: datetime) -> datetime | None:
         """The latest slot with a good row, not before a time."""

@@ -8,7 +8,7 @@ from datetime import date, datetime, timedelta
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
-from core.results import CalibrationReport, Measurement, Reason
+from core.results import CalibrationReport, Displacement, Measurement, Reason
 
 if TYPE_CHECKING:
     from core.calibration.calibrate import Calibration
@@ -140,6 +140,60 @@ class CalibrationRecord:
         from core.calibration.calibrate import Calibration  # loads all of the numerics
 
         return Calibration.from_dict(dict(self.content))
+
+
+class DatumMethod(StrEnum):
+    """How the datum of a calibration was found: a closed list."""
+
+    ORIGIN = "origin"
+    """No calibration before it: its reference is the zero."""
+    OLD_CALIBRATION = "old_calibration"
+    """The calibration before measured the new reference."""
+    FIXED_TARGETS = "fixed_targets"
+    """Fixed targets were seen in both references."""
+    ROWS = "rows"
+    """The last good row before the new reference; the bridge's movement since is in the sigma."""
+    ADJUSTED = "adjusted"
+    """Several links and frames that two calibrations measured, by least squares."""
+    SURVEY = "survey"
+    """Given by hand."""
+    LOST = "lost"
+    """Nothing tells; the sigma says how far it may be off."""
+
+
+@dataclass(frozen=True, slots=True)
+class DatumStep:
+    """One thing observed of a calibration's reference: where it lies from another's."""
+
+    method: DatumMethod
+    from_id: int | None
+    """The calibration whose reference it counts from; None: from the record's zero."""
+    offset: Displacement | None
+    """Of the main target; None where only further targets were observed."""
+    targets: Mapping[str, Displacement] = field(default_factory=dict)
+    """Of the measured further targets, by name."""
+
+
+@dataclass(frozen=True, slots=True)
+class DatumRecord:
+    """Where a calibration's reference lies in the record's zero: a link, immutable."""
+
+    method: DatumMethod
+    offset: Displacement
+    """To be added to what the calibration measures; with its covariance."""
+    steps: tuple[DatumStep, ...]
+    """What the offset rests on; none of where a record begins."""
+    created_utc: datetime
+    reference_utc: datetime | None = None
+    """When the calibration's reference was taken, where that is known."""
+    targets: Mapping[str, Displacement] = field(default_factory=dict)
+    """The offsets of the measured further targets, by name."""
+    detail: str = ""
+    """How it was found, for people."""
+    calibration_id: int | None = None
+    """None as long as its calibration is not stored."""
+    id: int | None = None
+    """Given by the database; the newest link of a calibration holds."""
 
 
 class Thinning(StrEnum):

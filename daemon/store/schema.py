@@ -260,6 +260,33 @@ class ActivationRow(Base):
     activated_utc: Mapped[datetime] = mapped_column(Instant)
 
 
+class DatumRow(Base):
+    """Where a calibration's reference lies in the record's zero; the newest id holds.
+
+    Triggers refuse UPDATE and DELETE.
+    """
+
+    __tablename__ = "datum"
+    __table_args__ = (Index("ix_datum_calibration", "calibration_id"),)
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    calibration_id: Mapped[int] = mapped_column(ForeignKey("calibration.id"))
+    created_utc: Mapped[datetime] = mapped_column(Instant)
+    reference_utc: Mapped[datetime | None]
+    """When the calibration's reference was taken."""
+    method: Mapped[str]
+    x_mm: Mapped[float]
+    y_mm: Mapped[float]
+    var_x_mm2: Mapped[float]
+    var_y_mm2: Mapped[float]
+    cov_xy_mm2: Mapped[float]
+    targets: Mapped[str]
+    """JSON: the five numbers above of each measured further target, by its name."""
+    steps: Mapped[str]
+    """JSON: what was observed, from which calibration's reference, and how."""
+    detail: Mapped[str]
+
+
 class EventRow(Base):
     """Something that happened to the system."""
 

@@ -36,7 +36,14 @@ from daemon.store.salvage.damage_note import (
 )
 from daemon.store.salvage.row_salvage import Carried, carry_over
 from daemon.store.salvage.sqlite_pages import PageFile
-from daemon.store.schema import ActivationRow, CalibrationRow, EventRow, MarkRow, MeasurementRow
+from daemon.store.schema import (
+    ActivationRow,
+    CalibrationRow,
+    DatumRow,
+    EventRow,
+    MarkRow,
+    MeasurementRow,
+)
 from daemon.store.sqlite import connect
 from daemon.version import VERSION
 
@@ -187,7 +194,8 @@ def _stand_in_for_lost_calibrations(session: Session, now_utc: datetime) -> None
     """Rows go on naming the calibration they were measured with; no new one gets its id."""
     measured_with = session.scalars(select(MeasurementRow.calibration_id).distinct())
     named = {number for number in measured_with if number is not None}
-    named |= set(session.scalars(select(ActivationRow.calibration_id)))
+    for table in (ActivationRow, DatumRow):
+        named |= set(session.scalars(select(table.calibration_id)))
     lost = named - set(session.scalars(select(CalibrationRow.id)))
     line = "lost with the damaged database: calibrate again, from its frames if they were kept"
     for number in sorted(lost):

@@ -17,7 +17,14 @@ from core.results import (
     TargetMeasurement,
 )
 from core.site import TargetRole
-from daemon.store.records import CalibrationRecord, CameraState, MeasurementRecord
+from daemon.store.records import (
+    CalibrationRecord,
+    CameraState,
+    DatumMethod,
+    DatumRecord,
+    DatumStep,
+    MeasurementRecord,
+)
 from drivers.protocols import CapturedFrame, CapturedPair
 
 START = datetime(2026, 3, 1, tzinfo=UTC)
@@ -123,6 +130,13 @@ def calibration(content: dict[str, object] | None = None) -> CalibrationRecord:
         version="0.1.0",
         frames="calibrations/20260301T000000Z",
     )
+
+
+def datum(x_mm: float, y_mm: float, sigma_mm: float = 0.1) -> DatumRecord:
+    """A link given by hand."""
+    offset = Displacement(np.array([x_mm, y_mm]), np.diag([sigma_mm**2, sigma_mm**2]))
+    step = DatumStep(DatumMethod.SURVEY, None, offset)
+    return DatumRecord(DatumMethod.SURVEY, offset, (step,), START, detail="levelling")
 
 
 def pair(seed: int = 0) -> CapturedPair:

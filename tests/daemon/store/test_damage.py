@@ -21,12 +21,22 @@ from daemon.store.records import GapCause, Mark
 from daemon.store.salvage import damage, salvage
 from daemon.store.salvage.damage_note import databases_set_aside, note_damage, read_note
 from daemon.store.sqlite import connect_readonly
-from tests.daemon.store.examples import PERIOD_S, START, calibration, full_record, record, slot
+from tests.daemon.store.examples import (
+    PERIOD_S,
+    START,
+    calibration,
+    datum,
+    full_record,
+    record,
+    slot,
+)
 
 ROWS = 120
 BIG = {"method": "rigid", "numbers": list(range(3000))}
 """A calibration that needs several pages."""
-EVERYTHING = "measurement", "gap", "calibration", "calibration_activation", "event", "mark"
+EVERYTHING = (
+    *("measurement", "gap", "calibration", "calibration_activation", "datum", "event", "mark"),
+)
 
 Row = tuple[object, ...]
 
@@ -45,7 +55,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     state = tmp_path_factory.mktemp("sound") / "state"
     with open_store(state) as store:
         store.add_calibration(calibration(BIG), activate=True)
-        store.add_calibration(calibration(), activate=True)
+        store.add_calibration(calibration(), datum(1.0, 2.0), activate=True)
         for number in range(ROWS):
             store.add_measurement(full_record(slot(number), calibration_id=1 + number // 60))
         for number in range(6):

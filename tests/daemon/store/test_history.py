@@ -13,7 +13,7 @@ import pytest
 
 from daemon.store.database import Store, open_store
 from daemon.store.records import EventRecord, Mark
-from tests.daemon.store.examples import START, calibration, slot
+from tests.daemon.store.examples import START, calibration, datum, slot
 
 
 @pytest.fixture
@@ -37,9 +37,9 @@ def test_a_calibration_with_no_number_in_it_is_refused(store: Store) -> None:
     assert store.calibrations() == []
 
 
-@pytest.mark.parametrize("table", ["calibration", "calibration_activation"])
+@pytest.mark.parametrize("table", ["calibration", "calibration_activation", "datum"])
 def test_no_program_can_change_a_calibration(store: Store, table: str) -> None:
-    store.add_calibration(calibration(), activate=True)
+    store.add_calibration(calibration(), datum(1.0, 2.0), activate=True)
     with closing(sqlite3.connect(store.path)) as connection:
         columns = [row[1] for row in connection.execute(f"PRAGMA table_info({table})")]
         for column in columns:
