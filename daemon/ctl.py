@@ -23,6 +23,7 @@ COMMANDS = {
     "plan": "Predict what a site will see and how well it will measure.",
     "target": "Printable PDF of both targets at true scale.",
     "calibrate": "Calibrate from a frame set or with the pan-tilt head.",
+    "datum": "The record's one zero, from calibration to calibration.",
     "preview": "Both cameras live, for aiming and focusing.",
     "capture": "Take and measure one pair now, beside dcamd too, and print it.",
     "reload": "Let the running dcamd read its config again.",

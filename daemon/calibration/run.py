@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -19,9 +19,10 @@ from core.errors import CalibrationError, ImageError
 from core.images import GreyImage, require_size
 from core.site import CameraGeometry, Site
 from daemon.config.reading import Config
+from daemon.datum.candidates import NewReference
 from daemon.slots.measuring import row_moment
 from daemon.store.database import Store
-from daemon.store.records import CalibrationRecord
+from daemon.store.records import CalibrationRecord, DatumRecord
 from daemon.version import VERSION
 from drivers.errors import FrameSetError
 from drivers.frameset import FrameSet, FrameSetRow, format_slot, read_frame_set
@@ -39,6 +40,8 @@ class CalibrationRun:
     report: CalibrationReport
     left_out: tuple[str, ...]
     """Views that could not be read, each with its reason."""
+    reference: NewReference
+    """The pair that is the calibration's own zero."""
     rejected: tuple[FrameSetRow, ...] = ()
     """Rows of the views that were read, but do not fit the others or show no target."""
 
@@ -89,13 +92,34 @@ def calibrate_frames(
     on_step("calibrated")
     rows = {_view_name(row): row for row in frames.rows}
     rejected = tuple(rows[entry["view"]] for entry in report.figures["rejected"])
-    return CalibrationRun(frames.directory, calibration, report, tuple(left_out), rejected)
+    reference = _new_reference(frames, views, calibration)
+    return CalibrationRun(
+        frames.directory, calibration, report, tuple(left_out), reference, rejected
+    )
+
+
+def _new_reference(
+    frames: FrameSet, views: Sequence[CalibrationView], calibration: Calibration
+) -> NewReference:
+    (row,) = frames.rows_of("reference")
+    (view,) = (view for view in views if view.role is ViewRole.REFERENCE)
+    lens_utc = [row.slot_utc for row in frames.rows_of("intrinsics")]
+    return NewReference(row.slot_utc, view.main, view.sub, calibration, max(lens_utc, default=None))
 
 
 def store_run(
-    store: Store, run: CalibrationRun, config: Config, created_utc: datetime, *, activate: bool
+    store: Store,
+    run: CalibrationRun,
+    zero: DatumRecord,
+    config: Config,
+    created_utc: datetime,
+    *,
+    activate: bool,
 ) -> int:
-    """Store a calibration for good, active if asked; give its number."""
+    """Store a calibration for good with its datum, active if asked; give its number.
+
+    All of it is one transaction: a process that is killed leaves the calibration before in use.
+    """
     record = CalibrationRecord(
         created_utc=created_utc,
         content=run.calibration.to_dict(),
@@ -104,7 +128,7 @@ def store_run(
         version=VERSION,
         frames=str(run.directory),
     )
-    return store.add_calibration(record, activate=activate)
+    return store.add_calibration(record, zero, activate=activate)
 
 
 def _view(frames: FrameSet, row: FrameSetRow, site: Site) -> CalibrationView:

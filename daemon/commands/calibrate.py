@@ -61,6 +61,12 @@ from daemon.store.database import open_store
     help="rigid: rigid rig with survey priors; paper: the nine parameters of Lee et al. 2020.",
 )
 @click.option("--skew", is_flag=True, help="Let the sub-camera's axes be skew (gamma of Eq. 10).")
+@click.option(
+    "--board-untouched",
+    is_flag=True,
+    help="The board has stayed on the pier since the calibration before, although there are lens "
+    "views since: then that calibration may tell the new zero.",
+)
 @click.option("--accept", is_flag=True, help="Make the result active without asking.")
 @json_option
 @common_options
@@ -75,6 +81,7 @@ def command(
     fresh: bool,
     method: str,
     skew: bool,
+    board_untouched: bool,
     accept: bool,
     as_json: bool,
 ) -> int:
@@ -118,4 +125,5 @@ def command(
             accept=accept,
             as_json=as_json,
             keeps_page=directory is None,
+            board_untouched=board_untouched,
         )

@@ -12,6 +12,7 @@ from daemon.commands.output import gap_fields, print_json, print_table, say
 from daemon.status.facts import Facts, collect_facts
 from daemon.status.item import Item, Level, worst
 from daemon.status.verdict import judge, no_verdict
+from daemon.store.datum_fields import datum_fields
 from daemon.store.json_fields import result_fields, target_fields
 from daemon.store.overview import TargetSummary
 from daemon.store.records import Coverage
@@ -102,6 +103,7 @@ def status_fields(facts: Facts, items: list[Item]) -> dict[str, object]:
             "method": calibration.method,
             "passed": calibration.passed,
             "fits_config": calibration.config_hash == facts.config_hash,
+            "datum": None if calibration.datum is None else datum_fields(calibration.datum),
         },
         "closure_24h": asdict(facts.closure_24h) if facts.closure_24h else None,
         "closure_30d": asdict(facts.closure_30d) if facts.closure_30d else None,

@@ -107,6 +107,11 @@ def _site(facts: Facts) -> Iterator[GaugeMetricFamily]:
         yield _gauge("calibration_id", "The calibration in use", calibration.id)
         yield _gauge("calibration_created_timestamp_seconds", "When it was made", created)
         yield _gauge("calibration_passed", "1 if it passed its own checks", calibration.passed)
+        if calibration.datum and calibration.datum.steps:
+            text = "Of the calibration's reference in the record's zero, x right, y up"
+            yield _by_axis("datum_metres", text, _metres(calibration.datum.offset))
+            text = "1 sigma of the datum"
+            yield _by_axis("datum_sigma_metres", text, _sigmas(calibration.datum.offset))
         fits = calibration.config_hash == facts.config_hash
         yield _gauge("calibration_fits_config", "0 if the config has changed since", fits)
     text = "Residuals of the corners over their level at calibration"

@@ -18,6 +18,7 @@ from daemon.status.facts import collect_facts
 from daemon.status.item import worst
 from daemon.status.verdict import judge
 from daemon.store.database import Store
+from daemon.store.datum_fields import offset_text
 from daemon.text import span_text, utc_text
 from daemon.version import VERSION
 
@@ -32,7 +33,7 @@ def render(site: Installation, store: Store, history: History) -> str:
     items = judge(facts)
     events = store.events(history.since_utc, history.until_utc)
     environment = Environment(autoescape=True, undefined=StrictUndefined)
-    environment.filters |= {"utc": utc_text, "span": span_text}
+    environment.filters |= {"utc": utc_text, "span": span_text, "offset": offset_text}
     return environment.from_string(_TEMPLATE.read_text(encoding="utf-8")).render(
         site=site.config.name,
         version=VERSION,
@@ -48,7 +49,9 @@ def render(site: Installation, store: Store, history: History) -> str:
         more_gaps=max(len(history.gaps) - MOST_LINES, 0),
         events=events[-MOST_LINES:],
         more_events=max(len(events) - MOST_LINES, 0),
-        calibrations=[store.calibration(number) for number in history.calibrations],
+        calibrations=[
+            (store.calibration(number), store.datum(number)) for number in history.calibrations
+        ],
         config_hash=site.config.config_hash(),
     )
 

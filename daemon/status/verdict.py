@@ -10,7 +10,9 @@ from daemon.status.coverage import coverage_text
 from daemon.status.facts import CAMERA_CAUSES, DAY, Daemon, Disk, Facts
 from daemon.status.item import Item, Level
 from daemon.status.targets import judge_targets
-from daemon.store.records import Coverage
+from daemon.store.datum_fields import offset_text
+from daemon.store.overview import ActiveCalibrationSummary
+from daemon.store.records import Coverage, DatumMethod
 from daemon.text import bytes_text, span_text, utc_text, value_text
 
 LATE_SLOTS, LOST_SLOTS = 3, 10
@@ -44,6 +46,7 @@ def judge(facts: Facts) -> list[Item]:
         _cameras(facts),
         _calibration(facts),
         *judge_targets(facts),
+        *_zero(facts.calibration),
         _coverage("coverage 24 h", facts.coverage_24h),
         _coverage("coverage 30 d", facts.coverage_30d),
         _gaps(facts),
@@ -183,6 +186,28 @@ def _calibration(facts: Facts) -> Item:
     else:
         return Item("calibration", Level.OK, text)
     return Item("calibration", Level.WARNING, text)
+
+
+def _zero(calibration: ActiveCalibrationSummary | None) -> list[Item]:
+    """Where the calibration's reference lies in the record's zero, unless it is the zero."""
+    if calibration is None:
+        return []
+    link, name = calibration.datum, "zero"
+    if link is None:
+        text = (
+            f"calibration {calibration.id} is not linked to those before, rows jump where it "
+            "begins: dcam-ctl datum set or adjust"
+        )
+        return [] if calibration.is_first else [Item(name, Level.WARNING, text)]
+    if link.method is DatumMethod.LOST:
+        text = (
+            "the zero is lost: enter a surveyed value with dcam-ctl datum set; until then "
+            f"{offset_text(link.offset)}"
+        )
+        return [Item(name, Level.WARNING, text)]
+    if link.method is DatumMethod.ORIGIN:
+        return []
+    return [Item(name, Level.OK, f"reference at {offset_text(link.offset)}, {link.method.value}")]
 
 
 def _coverage(name: str, coverage: Coverage) -> Item:

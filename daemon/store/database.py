@@ -12,21 +12,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
-from typing import Self, cast
+from typing import cast
 
 from sqlalchemy import Engine
-from sqlalchemy.orm import Session
 
 from daemon.durable import fsync_directory
-from daemon.errors import DatabaseDamagedError
 from daemon.store import calibrations, datum, events, frame_days, measurements, undated
 from daemon.store import gaps as gap_runs
 from daemon.store.accounting import missing_slots
 from daemon.store.columns import read_columns
 from daemon.store.convert import measurement_record
 from daemon.store.copying import Copied, Tell, backup, rescue
-from daemon.store.digest import CheckedSession
 from daemon.store.engine import make_engine, translated
 from daemon.store.migrate import migrate as run_migrations
 from daemon.store.migrate import require_head
@@ -45,6 +41,7 @@ from daemon.store.records import (
 )
 from daemon.store.runs import run_between, schedule_slots
 from daemon.store.sqlite import existing_path
+from daemon.store.transactions import Transactions
 
 ALWAYS = datetime(1, 1, 1, tzinfo=UTC)
 NEVER = datetime(9999, 12, 31, tzinfo=UTC)
@@ -97,26 +94,8 @@ def _closed_on_error(engine: Engine) -> Iterator[None]:
         raise
 
 
-class Store:
+class Store(Transactions):
     """An open database; use `open_store` or `open_store_readonly`."""
-
-    def __init__(self, path: Path, engine: Engine) -> None:
-        self.path = path
-        self.damage: DatabaseDamagedError | None = None
-        """What was met first of the file's damage; whoever opened it should close and end."""
-        self._engine = engine
-        self._writer = engine.execution_options(dcam_begin="IMMEDIATE")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        _kind: type[BaseException] | None,
-        _error: BaseException | None,
-        _trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     # Measurements
 
@@ -392,35 +371,3 @@ class Store:
         with translated(self.path), self._engine.connect() as connection:
             held = connection.connection.driver_connection
             return rescue(cast("sqlite3.Connection", held), self.path, now_utc)
-
-    def close(self) -> None:
-        """Close all connections; the last one empties the write-ahead log."""
-        self._engine.dispose()
-
-    @contextmanager
-    def _session(self) -> Iterator[Session]:
-        """A transaction for reading objects."""
-        with self._translated(), CheckedSession(self._engine) as session:
-            yield session
-
-    @contextmanager
-    def _read(self) -> Iterator[sqlite3.Connection]:
-        """A transaction for reading by plain SQL."""
-        with self._session() as session:
-            driver = session.connection().connection.dbapi_connection
-            yield cast("sqlite3.Connection", driver)
-
-    @contextmanager
-    def _write(self) -> Iterator[Session]:
-        """A transaction that is on the disk when the block has ended, or has changed nothing."""
-        with self._translated(), CheckedSession(self._writer) as session, session.begin():
-            yield session
-
-    @contextmanager
-    def _translated(self) -> Iterator[None]:
-        try:
-            with translated(self.path):
-                yield
-        except DatabaseDamagedError as error:
-            self.damage = self.damage or error
-            raise

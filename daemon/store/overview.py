@@ -40,6 +40,10 @@ class ActiveCalibrationSummary:
     sub_rms_px: float | None
     sub_contrast_dn: float | None
     """How its sub images fitted and looked; None of a calibration that cannot be read."""
+    datum: DatumRecord | None
+    """Where its reference lies in the record's zero; None where nobody said so."""
+    is_first: bool
+    """Whether none was in use before it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +77,10 @@ class TargetSummary:
     """Of these, those that have a value of it too."""
     last_value_utc: datetime | None
     """The last slot of any row since then that has one."""
+
+
+_OTHERS = "SELECT count(*) FROM calibration_activation WHERE calibration_id <> ?"
+"""Of activations: how many there were of other calibrations."""
 
 
 @contextmanager
@@ -213,6 +221,8 @@ class Overview:
             hash_,
             rms_px,
             contrast_dn,
+            self.datum(number),
+            is_first=not value(self._connection, _OTHERS, number),
         )
 
     def fits(

@@ -1,0 +1,125 @@
+"""`dcam-ctl datum adjust`: frames that two calibrations measure, and the chain fitted to them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from core.results import Displacement
+from daemon.commands.options import Options
+from daemon.commands.output import note, progress
+from daemon.commands.reprocess import Job, chosen_calibration, jobs_in_set, jobs_kept
+from daemon.datum.chain import NOTHING, relinked
+from daemon.datum.choice import CONTRADICTION
+from daemon.datum.overlap import FEWEST, overlap_step
+from daemon.errors import UsageError, WorkFailedError
+from daemon.slots.measuring import ActiveCalibration
+from daemon.store.database import NEVER, Store
+from daemon.store.datum_fields import offset_text
+from daemon.store.records import DatumMethod, DatumRecord
+from drivers.frameset import read_frame_set
+
+MOST_PAIRS = 24
+"""Kept pairs that are measured; more than some tens change nothing."""
+NEAR = timedelta(days=2)
+"""How far from the later reference they may be, unless said otherwise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What is to be measured with what."""
+
+    earlier_id: int
+    later_id: int
+    directory: Path | None
+    since: datetime | None
+    until: datetime | None
+    board_untouched: bool
+
+
+def adjusted(
+    options: Options, store: Store, links: Mapping[int, DatumRecord], wanted: Wanted
+) -> dict[int, DatumRecord]:
+    """The links that change when the frames' say is added. Raises WorkFailedError, UsageError."""
+    if wanted.earlier_id >= wanted.later_id:
+        msg = f"--with {wanted.earlier_id} is not earlier than calibration {wanted.later_id}"
+        raise UsageError(msg)
+    earlier, later = (
+        chosen_calibration(options.config, options.state, number)
+        for number in (wanted.earlier_id, wanted.later_id)
+    )
+    near_utc = _reference_time(store, later)
+    one, other = (_jobs(options, calibration, wanted, near_utc) for calibration in (earlier, later))
+    with progress(len(one), "measuring with both") as steps:
+        measured = []
+        for (_, by_earlier), (_, by_later) in zip(one, other, strict=True):
+            measured.append((by_earlier(), by_later()))
+            steps.next()
+    step, count = overlap_step(measured, wanted.earlier_id)
+    if step is None or step.offset is None:
+        msg = (
+            f"{count} of {len(one)} pairs are good by both calibrations, {FEWEST} are needed: "
+            "name others with --since and --until, or --from"
+        )
+        raise WorkFailedError(msg)
+    if not wanted.board_untouched:
+        _require_agreement(step.offset, links, wanted)
+    note(f"{count} pairs measured by both: {offset_text(step.offset)} between the references")
+    now_utc = datetime.now(UTC)
+    unlinked = DatumRecord(DatumMethod.ADJUSTED, NOTHING, (), now_utc, near_utc)
+    before = links.get(wanted.later_id, unlinked)
+    link = replace(
+        before,
+        method=DatumMethod.ADJUSTED,
+        steps=(*before.steps, step),
+        detail=f"{count} pairs measured with calibration {wanted.earlier_id} too, adjusted",
+    )
+    return relinked(links, {wanted.later_id: link}, now_utc)
+
+
+def _reference_time(store: Store, calibration: ActiveCalibration) -> datetime:
+    if calibration.datum is not None and calibration.datum.reference_utc is not None:
+        return calibration.datum.reference_utc
+    made = store.calibration(calibration.id or 0)
+    assert made is not None  # noqa: S101 - it was read a moment ago
+    return made.created_utc
+
+
+def _jobs(
+    options: Options, calibration: ActiveCalibration, wanted: Wanted, near_utc: datetime
+) -> Sequence[Job]:
+    """The pairs to be measured, those next to the later reference."""
+    site = options.config.site()
+    if wanted.directory is not None:
+        return list(jobs_in_set(read_frame_set(wanted.directory), site, calibration))
+    since, until = wanted.since or near_utc - NEAR, wanted.until or near_utc + NEAR
+    kept = jobs_kept(options.state, site, calibration, since, min(until, NEVER))
+    return sorted(kept, key=lambda job: abs(job[0] - near_utc))[:MOST_PAIRS]
+
+
+def _require_agreement(
+    step: Displacement, links: Mapping[int, DatumRecord], wanted: Wanted
+) -> None:
+    """Raise WorkFailedError where the present links contradict the frames."""
+    earlier, later = (links.get(number) for number in (wanted.earlier_id, wanted.later_id))
+    if later is None:
+        return
+    base = NOTHING if earlier is None else earlier.offset
+    present = [own.offset for own in later.steps if own.from_id == wanted.earlier_id and own.offset]
+    known = present[0] if present else None
+    if known is None:
+        known = Displacement(
+            later.offset.mm - base.mm, later.offset.covariance_mm2 + base.covariance_mm2
+        )
+    variances = np.diag(known.covariance_mm2) + np.diag(step.covariance_mm2)
+    if (np.abs(known.mm - step.mm) > CONTRADICTION * np.sqrt(variances)).any():
+        msg = (
+            f"the frames say {offset_text(step)}, the present link {offset_text(known)}: the "
+            "board, a lens or a camera was touched between the two calibrations; if you know "
+            "that none was, give --board-untouched"
+        )
+        raise WorkFailedError(msg)

@@ -1,0 +1,219 @@
+"""What can tell where a new reference lies in the record's zero, and what speaks against it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+
+from core.arrays import FloatArray
+from core.calibration.calibrate import Calibration
+from core.images import GreyImage
+from core.results import Displacement, Flag, Measurement
+from core.rig.calibrated_site import CalibratedSite
+from core.site import Site, TargetRole
+from daemon.datum.chain import NOTHING, datum_by
+from daemon.datum.movement import movement_sigma_mm
+from daemon.slots.measuring import ActiveCalibration, ImagePair, measure
+from daemon.store.records import DatumMethod, DatumRecord, DatumStep
+from daemon.text import span_text, utc_text
+
+_LENS_SIGMAS = 4.0
+_LENS_SHARE = 0.005
+"""Of the focal length or of the main camera's scale. Chosen: lenses of one kind differ by a per
+cent, one lens calibrated again by a fifth of that, and warmth changes less."""
+_CENTRE_PX = 5.0
+"""Of the principal point. Chosen: a lens screwed in again comes back to some ten pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """A calibration that is in the record."""
+
+    active: ActiveCalibration
+    reference_utc: datetime
+    """When its reference was taken; when it was made, where that is not known."""
+
+    @property
+    def id(self) -> int:
+        """Its number."""
+        assert self.active.id is not None  # noqa: S101 - it is stored
+        return self.active.id
+
+
+@dataclass(frozen=True, slots=True)
+class NewReference:
+    """The reference of a calibration that is not stored yet."""
+
+    slot_utc: datetime
+    main: GreyImage | None
+    sub: GreyImage
+    calibration: Calibration
+    lens_views_utc: datetime | None
+    """When the board was last in somebody's hand, by the lens views."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenRow:
+    """One row of the record, or a `measure` row of the old frame set."""
+
+    slot_utc: datetime
+    displacement: Displacement
+    """From its own calibration's reference."""
+    calibration_id: int | None
+    targets: tuple[tuple[str, Displacement], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One answer."""
+
+    step: DatumStep
+    offset: Displacement
+    """In the record's zero."""
+    words: str
+    """How it was found."""
+    doubts: tuple[str, ...] = ()
+    """Why it is not believed."""
+
+    @property
+    def sigma_mm(self) -> FloatArray:
+        """(2,) 1 sigma."""
+        return np.asarray(np.sqrt(np.diag(self.offset.covariance_mm2)))
+
+
+def candidate(
+    step: DatumStep, base: DatumRecord | None, words: str, doubts: Sequence[str] = ()
+) -> Candidate:
+    """One answer from one step."""
+    return Candidate(step, datum_by(step, base)[0], words, tuple(doubts))
+
+
+def by_old_calibration(
+    known: Known, new: NewReference, site: Site, *, board_untouched: bool
+) -> tuple[Candidate | None, str]:
+    """Let the calibration before measure the new reference; None and why where it cannot."""
+    words = f"measured by calibration {known.id}"
+    pair = ImagePair(new.main, new.sub)
+    measured = measure([pair], site, known.active)
+    if measured.corrected is None:
+        return None, f"{words}: {'+'.join(measured.reasons)}"
+    step = DatumStep(
+        DatumMethod.OLD_CALIBRATION, known.id, measured.corrected, dict(measured_targets(measured))
+    )
+    doubts = [] if measured.flag is Flag.GOOD else [f"the pair is {'+'.join(measured.reasons)}"]
+    moved_utc = new.lens_views_utc
+    if moved_utc is not None and moved_utc > known.reference_utc and not board_untouched:
+        doubts.append(
+            f"lens views of {utc_text(moved_utc)}: the board was off the pier since "
+            "(if it was not: --board-untouched)"
+        )
+    doubts += lens_changes(known.active.calibration.calibrated, new.calibration.calibrated)
+    doubts += drift_beyond(measured, site)
+    return candidate(step, known.active.datum, words, doubts), ""
+
+
+def measured_targets(measured: Measurement) -> list[tuple[str, Displacement]]:
+    """The displacements of the measured further targets, by name."""
+    return [
+        (target.name, target.corrected)
+        for target in measured.targets
+        if target.role is TargetRole.MEASURED and target.corrected is not None
+    ]
+
+
+def lens_changes(old: CalibratedSite, new: CalibratedSite) -> list[str]:
+    """What says that a lens or a camera is another than at the calibration before."""
+    changes = []
+    sigmas = np.hypot(old.posterior.lens_sigma[:5], new.posterior.lens_sigma[:5])
+    apart = np.abs(old.lens.parameters[:5] - new.lens.parameters[:5])
+    focal_px = old.lens.parameters[0]
+    if apart[0] > max(_LENS_SIGMAS * sigmas[0], _LENS_SHARE * focal_px):
+        changes.append(f"the sub-camera's focal length differs by {apart[0] / focal_px:.2%}")
+    if (apart[3:] > np.maximum(_LENS_SIGMAS * sigmas[3:], _CENTRE_PX)).any():
+        changes.append(f"the sub-camera's principal point differs by {apart[3:].max():.1f} px")
+    scales = [np.sqrt(abs(np.linalg.det(one.B))) for one in (old, new)]
+    if abs(scales[1] / scales[0] - 1.0) > _LENS_SHARE:
+        changes.append(f"the main camera's scale differs by {abs(scales[1] / scales[0] - 1):.2%}")
+    return changes
+
+
+def drift_beyond(measured: Measurement, site: Site) -> list[str]:
+    """What says that the board, not the rig, has moved."""
+    if measured.motion is None:
+        return []
+    turn_mrad = 1e3 * float(np.linalg.norm(measured.motion.rotation_rad))
+    shift_mm = float(np.linalg.norm(measured.motion.translation_mm))
+    beyond = []
+    if turn_mrad > site.quality.expected_drift_mrad:
+        limit = f"[quality] expected_drift_mrad = {site.quality.expected_drift_mrad:g}"
+        beyond.append(f"the rig would have turned by {turn_mrad:.2f} mrad, {limit}")
+    if shift_mm > site.quality.expected_drift_mm:
+        limit = f"[quality] expected_drift_mm = {site.quality.expected_drift_mm:g}"
+        beyond.append(f"the rig would have moved by {shift_mm:.2f} mm, {limit}")
+    return beyond
+
+
+def by_rows(
+    rows: Sequence[SeenRow], datums: dict[int, DatumRecord], reference_utc: datetime
+) -> Candidate | None:
+    """The last good row before the reference, the bridge's own movement since as its sigma.
+
+    rows are in order, all before the reference. None where they do not tell how it moves.
+    """
+    if not rows:
+        return None
+    last = rows[-1]
+    gap_s = (reference_utc - last.slot_utc).total_seconds()
+    sigma_mm = movement_sigma_mm(
+        np.array([row.slot_utc.timestamp() for row in rows]),
+        np.array([row.displacement.mm + _datum_mm(row, datums) for row in rows]),
+        gap_s,
+    )
+    if sigma_mm is None:
+        return None
+    moving_mm2 = np.diag(sigma_mm**2)
+    step = DatumStep(
+        DatumMethod.ROWS,
+        last.calibration_id,
+        _wider(last.displacement, moving_mm2),
+        {name: _wider(seen, moving_mm2) for name, seen in last.targets},
+    )
+    words = (
+        f"by the last good row, {span_text(gap_s)} before ({utc_text(last.slot_utc)}); "
+        f"the bridge moves by {sigma_mm[0]:.3g}, {sigma_mm[1]:.3g} mm in such a time"
+    )
+    return candidate(step, datums.get(last.calibration_id or 0), words)
+
+
+def lost(
+    old_id: int, last: SeenRow | None, site: Site, datums: dict[int, DatumRecord]
+) -> Candidate:
+    """Nothing tells: the last known row, or the reference before, to the size of the image."""
+    size_mm = np.array([site.main.width_px, site.main.height_px]) / site.nominal_px_per_mm
+    anywhere_mm2 = np.diag(size_mm**2 / 12.0)
+    seen = NOTHING if last is None else last.displacement
+    from_id = old_id if last is None else last.calibration_id
+    step = DatumStep(DatumMethod.LOST, from_id, _wider(seen, anywhere_mm2))
+    words = (
+        "THE ZERO IS LOST: nothing shows where this reference lies; enter a surveyed value with "
+        "dcam-ctl datum set"
+    )
+    return candidate(step, datums.get(from_id or 0), words)
+
+
+def _wider(displacement: Displacement, more_mm2: FloatArray) -> Displacement:
+    return Displacement(displacement.mm, displacement.covariance_mm2 + more_mm2)
+
+
+def _datum_mm(row: SeenRow, datums: dict[int, DatumRecord]) -> FloatArray:
+    link = datums.get(row.calibration_id or 0)
+    return np.zeros(2) if link is None else link.offset.mm
+
+
+def contradicted(one: Candidate, other: Candidate, sigmas: float) -> bool:
+    """Whether two answers differ by more than their sigmas allow."""
+    apart = np.abs(one.offset.mm - other.offset.mm)
+    return bool((apart > sigmas * np.hypot(one.sigma_mm, other.sigma_mm)).any())
