@@ -57,6 +57,8 @@ class Finished:
     rows: Mapping[datetime, Row]
     """Without their numbers."""
     calibrations: Mapping[int, Row]
+    datums: Mapping[int, Row]
+    """Links to the record's zero, by the number of the calibration that they were stored with."""
     causes: Mapping[datetime, str]
 
 
@@ -66,10 +68,12 @@ def read_database(path: Path) -> Finished:
         connection.row_factory = sqlite3.Row
         rows = connection.execute("SELECT * FROM measurement").fetchall()
         calibrations = connection.execute("SELECT * FROM calibration").fetchall()
+        datums = connection.execute("SELECT * FROM datum").fetchall()
         causes = dict(_gap_slots(connection))
     return Finished(
         {datetime.fromisoformat(row["slot_utc"]): tuple(row)[1:] for row in rows},
         {row["id"]: tuple(row) for row in calibrations},
+        {row["calibration_id"]: tuple(row) for row in datums},
         causes,
     )
 
@@ -164,6 +168,8 @@ def _check_history(
     for known, content in now.calibrations.items():
         if finished.calibrations.get(known) != content:
             yield f"calibration {known} is half made"
+        if finished.datums.get(known) != now.datums.get(known):
+            yield f"calibration {known} is stored without its datum"
 
 
 def _check_frames(state: Path, now: Finished) -> Iterator[str]:

@@ -24,7 +24,7 @@ from tests.crash.disk import Tree, read_tree
 from tests.crash.promises import STEP, Promises, read_database
 from tests.crash.recording import STATE, Run, Scribe
 from tests.crash.station import PERIOD_S, daemon, heard
-from tests.daemon.store.examples import calibration
+from tests.daemon.store.examples import calibration, datum
 
 START = datetime(2026, 3, 1, 23, 57, 30, tzinfo=UTC)
 FIRST = START + STEP / 2
@@ -57,7 +57,9 @@ def two_days(scribe: Scribe) -> datetime:
         station.store.add_calibration(calibration(), activate=True)
         scribe.settled(station.store)
         runner.run(4)
-        station.store.add_calibration(calibration({"method": "another"}), activate=True)
+        station.store.add_calibration(
+            calibration({"method": "another"}), datum(0.3, 2.7), activate=True
+        )
         scribe.settled(station.store)
         runner.run(1)
         station.store.backup(scribe.directory / "copy.db")
