@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,6 +25,14 @@ from daemon.store.records import CalibrationRecord, DatumRecord
 from daemon.text import utc_text
 
 Links = Mapping[int, DatumRecord]
+
+
+def _number(_ctx: click.Context, _parameter: click.Parameter, value: float | None) -> float | None:
+    """Pass a number on. Raises click.BadParameter for nan and inf."""
+    if value is not None and not math.isfinite(value):
+        msg = f"{value} is no length in mm"
+        raise click.BadParameter(msg)
+    return value
 
 
 @click.group(
@@ -66,12 +75,27 @@ def command(ctx: click.Context, as_json: bool) -> None:
     epilog="\b\nExample:\n  dcam-ctl datum set --y 12.3 --sigma 0.5 --source levelling\n"
     "  dcam-ctl datum set --calibration 2 --x 0 --y -3.1 --sigma 0.2 --source 'total station'",
 )
-@click.option("--x", "x_mm", type=float, metavar="MM", help="To the right; left as it is without.")
-@click.option("--y", "y_mm", type=float, metavar="MM", help="Upwards; left as it is without.")
+@click.option(
+    "--x",
+    "x_mm",
+    type=float,
+    callback=_number,
+    metavar="MM",
+    help="To the right; left as it is without.",
+)
+@click.option(
+    "--y",
+    "y_mm",
+    type=float,
+    callback=_number,
+    metavar="MM",
+    help="Upwards; left as it is without.",
+)
 @click.option(
     "--sigma",
     "sigma_mm",
-    type=click.FloatRange(min=0, min_open=True),
+    type=click.FloatRange(0, min_open=True),
+    callback=_number,
     metavar="MM",
     required=True,
     help="1 sigma of what is given.",

@@ -1,0 +1,190 @@
+"""`dcam-ctl datum` and `calibrate` from outside: one zero, how it was found, and what to do."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from daemon.store.database import open_store
+from daemon.store.records import DatumMethod
+from tests.daemon.commands.conftest import Ctl, Ran, Site, edit_table
+from tests.daemon.store.examples import calibration, datum
+
+LATER = timedelta(days=1)
+
+
+class Chain:
+    """A state with a calibration, to which another is added from the same images."""
+
+    def __init__(self, bench: Path, calibrated: Path, directory: Path, ctl: Ctl) -> None:
+        self._ctl, self._config = ctl, bench / "dcam.toml"
+        self.state = Path(shutil.copytree(calibrated, directory / "state"))
+        self.later = Path(shutil.copytree(bench / "set", directory / "later"))
+        edit_table(self.later, lambda lines: [lines[0], *map(_later, lines[1:])])
+
+    def ctl(self, *arguments: object) -> Ran:
+        return self._ctl("--config", self._config, "--state", self.state, *arguments)
+
+    def calibrate(self, *options: object) -> Ran:
+        ran = self.ctl("calibrate", "--from", self.later, "--accept", *options)
+        assert ran.code == 0, ran.err
+        return ran
+
+    def links(self) -> list[dict[str, Any]]:
+        ran = self.ctl("datum", "--json")
+        assert ran.code == 0, ran.err
+        found: list[dict[str, Any]] = json.loads(ran.out)["calibrations"]
+        return found
+
+
+def _later(line: str) -> str:
+    slot, _, rest = line.partition(",")
+    return f"{(datetime.fromisoformat(slot) + LATER):%Y-%m-%dT%H:%M:%SZ},{rest}"
+
+
+@pytest.fixture
+def chain(bench: Path, calibrated: Path, tmp_path: Path, ctl: Ctl) -> Chain:
+    return Chain(bench, calibrated, tmp_path, ctl)
+
+
+def test_lens_views_since_the_old_reference_mean_that_the_board_was_taken_off(chain: Chain) -> None:
+    said = chain.calibrate().out
+    assert "zero: not measured by calibration 1: lens views of 2026-03-01T23:46:00Z" in said
+    assert "by the last good row" in said
+    first, second = chain.links()
+    assert (first["method"], first["x_mm"], first["sigma_x_mm"]) == ("origin", 0.0, 0.0)
+    assert second["method"] == "rows"
+    # The rows before are hours away from the reference, and the bridge moves by millimetres.
+    assert second["sigma_y_mm"] > 1.0
+    assert abs(second["y_mm"]) < 3.0 * second["sigma_y_mm"]
+
+
+def test_an_untouched_board_carries_the_zero_over(chain: Chain) -> None:
+    said = chain.calibrate("--board-untouched").out
+    assert "zero: x " in said
+    assert "measured by calibration 1" in said
+    _, second = chain.links()
+    assert second["method"] == "old_calibration"
+    # The images are those of the first reference: nothing has moved.
+    assert 0.0 < second["sigma_y_mm"] < 0.2
+    assert abs(second["x_mm"]) < 3.0 * second["sigma_x_mm"]
+    assert abs(second["y_mm"]) < 3.0 * second["sigma_y_mm"]
+    item = next(i for i in json.loads(status(chain).out)["items"] if i["name"] == "zero")
+    assert item["level"] == "ok"
+    assert "old_calibration" in item["text"]
+
+
+def test_a_survey_moves_rows_and_is_shown_with_its_source(chain: Chain, tmp_path: Path) -> None:
+    chain.calibrate("--board-untouched")
+    moved_mm = 12.3 - chain.links()[1]["y_mm"]
+    table = tmp_path / "a.csv"
+    assert chain.ctl("reprocess", "--from", chain.later, "--output", table).code == 0
+    before = table.read_text()
+    ran = chain.ctl("datum", "set", "--y", "12.3", "--sigma", "0.5", "--source", "levelling")
+    assert ran.code == 0, ran.err
+    assert "changed: calibration 2" in ran.out
+    assert "+12.300 ± 0.5" in ran.out
+    assert "levelling" in ran.out
+    assert chain.ctl("reprocess", "--from", chain.later, "--output", table).code == 0
+    for old, new in zip(before.splitlines()[1:], table.read_text().splitlines()[1:], strict=True):
+        x_mm, y_mm, _, sigma_y_mm = map(float, new.split(",")[3:7])
+        assert y_mm == pytest.approx(float(old.split(",")[4]) + moved_mm, abs=1e-3)
+        assert x_mm == pytest.approx(float(old.split(",")[3]), abs=1e-3)
+        assert sigma_y_mm == pytest.approx(0.5, abs=0.05)
+
+
+def test_frames_that_both_calibrations_measured_join_them(chain: Chain) -> None:
+    chain.calibrate()
+    wide = chain.links()[1]["sigma_y_mm"]
+    ran = chain.ctl("datum", "adjust", "--from", chain.later)
+    assert ran.code == 0, ran.err
+    assert "4 pairs measured by both" in ran.err
+    _, second = chain.links()
+    assert second["method"] == "adjusted"
+    assert second["sigma_y_mm"] < 0.3 < wide
+    # Both have the images of the same reference.
+    assert abs(second["y_mm"]) < 3.0 * second["sigma_y_mm"]
+
+
+def test_frames_that_contradict_the_link_are_not_believed_without_a_word(chain: Chain) -> None:
+    chain.calibrate()
+    assert chain.ctl("datum", "set", "--x", 40, "--y", 0, "--sigma", 0.1, "--source", "x").code == 0
+    ran = chain.ctl("datum", "adjust", "--from", chain.later)
+    assert ran.code == 1
+    assert "the board, a lens or a camera was touched" in ran.err
+    assert "--board-untouched" in ran.err
+    assert chain.links()[1]["x_mm"] == pytest.approx(40.0)
+    told = chain.ctl("datum", "adjust", "--from", chain.later, "--board-untouched")
+    assert told.code == 0, told.err
+    assert chain.links()[1]["method"] == "adjusted"
+
+
+def status(chain: Chain) -> Ran:
+    return chain.ctl("status", "--json")
+
+
+# Without images: what the commands make of what is stored.
+
+
+def unlinked(site: Site) -> None:
+    """A second calibration of a version that knew no datum."""
+    site.write(lambda store: store.add_calibration(calibration(), activate=True) and None)
+
+
+def test_a_calibration_without_a_link_is_told(site: Site) -> None:
+    unlinked(site)
+    site.measure(1)
+    said = site.ctl("datum").out
+    assert "not linked" in said
+    ran = site.status()
+    assert site.levels(ran)["zero"] == "warning"
+    assert "dcam-ctl datum set or adjust" in ran.out
+    options = ("--x", 1, "--y", 2, "--sigma", 0.1, "--source", "gauge")
+    assert site.ctl("datum", "set", *options).code == 0
+    assert site.levels(site.status())["zero"] == "ok"
+
+
+def test_a_single_calibration_has_no_word_of_it_in_status(site: Site) -> None:
+    assert "zero" not in site.levels(site.status())
+
+
+def test_a_lost_zero_is_a_warning_that_says_what_to_do(site: Site) -> None:
+    lost = replace(datum(0.0, 0.0, 60.0), method=DatumMethod.LOST)
+    site.write(lambda store: store.add_calibration(calibration(), lost, activate=True) and None)
+    ran = site.status()
+    assert site.levels(ran)["zero"] == "warning"
+    assert "enter a surveyed value with dcam-ctl datum set" in ran.out
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ("set --sigma 0.5 --source x", 2, "give --x, --y or both"),
+        ("set --y 1 --sigma 0 --source x", 2, "--sigma"),
+        ("set --y 1 --sigma 1", 2, "--source"),
+        ("set --y nan --sigma 1 --source x", 2, "--y"),
+        ("set --y 1 --sigma 1 --source x --calibration 9", 1, "no calibration 9"),
+        ("adjust", 1, "no calibration before 1"),
+        ("adjust --calibration 1 --with 3", 2, "--with 3 is not earlier than calibration 1"),
+        ("adjust --from . --since 1d", 2, "leave them out with --from"),
+        ("--json set --y 1 --sigma 1 --source x", 2, "give --json behind set"),
+        ("sett", 2, "Did you mean 'set'?"),
+    ],
+)
+def test_a_mistake_is_one_clear_line(site: Site, words: str, code: int, said: str) -> None:
+    ran = site.ctl("datum", *words.split())
+    assert (ran.code, said in ran.err) == (code, True), ran.err
+    with open_store(site.state) as store:
+        assert store.datum_links() == []
+
+
+def test_without_a_database_nothing_is_made(tmp_path: Path, ctl: Ctl) -> None:
+    ran = ctl("--state", tmp_path / "none", "datum")
+    assert ran.code == 5
+    assert not (tmp_path / "none").exists()
