@@ -104,7 +104,9 @@ def _new_reference(
     (row,) = frames.rows_of("reference")
     (view,) = (view for view in views if view.role is ViewRole.REFERENCE)
     lens_utc = [row.slot_utc for row in frames.rows_of("intrinsics")]
-    return NewReference(row.slot_utc, view.main, view.sub, calibration, max(lens_utc, default=None))
+    return NewReference(
+        row.slot_utc, view.main, view.sub, calibration, view.moment, max(lens_utc, default=None)
+    )
 
 
 def store_run(

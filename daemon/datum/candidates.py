@@ -13,6 +13,7 @@ from core.calibration.calibrate import Calibration
 from core.images import GreyImage
 from core.results import Displacement, Flag, Measurement
 from core.rig.calibrated_site import CalibratedSite
+from core.rig.stability import Moment
 from core.site import Site, TargetRole
 from daemon.datum.chain import NOTHING, datum_by
 from daemon.datum.movement import movement_sigma_mm
@@ -51,6 +52,8 @@ class NewReference:
     main: GreyImage | None
     sub: GreyImage
     calibration: Calibration
+    moment: Moment | None
+    """How warm the rig was then."""
     lens_views_utc: datetime | None
     """When the board was last in somebody's hand, by the lens views."""
 
@@ -96,7 +99,7 @@ def by_old_calibration(
 ) -> tuple[Candidate | None, str]:
     """Let the calibration before measure the new reference; None and why where it cannot."""
     words = f"measured by calibration {known.id}"
-    pair = ImagePair(new.main, new.sub)
+    pair = ImagePair(new.main, new.sub, moment=new.moment)
     measured = measure([pair], site, known.active)
     if measured.corrected is None:
         return None, f"{words}: {'+'.join(measured.reasons)}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,7 @@ from daemon.slots.measuring import (
     active_calibration,
     measure,
     read_pair,
+    row_moment,
 )
 from daemon.store.columns import read_columns
 from daemon.store.convert import measurement_record
@@ -131,7 +132,8 @@ def reference_time(record: CalibrationRecord, active: ActiveCalibration) -> date
     link = active.datum
     if link is not None and link.reference_utc is not None:
         return link.reference_utc
-    return record.created_utc
+    moment = active.calibration.reference
+    return record.created_utc if moment is None else datetime.fromtimestamp(moment.utc_s, UTC)
 
 
 def _stored_rows(store: Store, until_utc: datetime) -> Iterator[SeenRow]:
@@ -171,7 +173,7 @@ def _measured_rows(
 
 def _files(directory: Path, row: FrameSetRow) -> PairFiles:
     main, sub = (directory / name if name else None for name in (row.main, row.sub))
-    return PairFiles(main, sub)
+    return PairFiles(main, sub, moment=row_moment(row))
 
 
 def _zero(
