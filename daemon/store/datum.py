@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from core.results import Displacement, Measurement
+from core.results import Displacement, Measurement, TargetMeasurement
 from daemon.store.convert import stored_time
 from daemon.store.reading import whole_rows
 from daemon.store.records import DatumMethod, DatumRecord, DatumStep
+from daemon.store.targets import targets_of, targets_text
 
 Datums = Mapping[int, DatumRecord]
 """The link that holds of each calibration that has one, by the calibration's number."""
@@ -52,16 +53,23 @@ def in_record_zero(measurement: Measurement, datum: DatumRecord | None) -> Measu
         measurement,
         corrected=moved(measurement.corrected, datum.offset),
         raw=moved(measurement.raw, datum.offset),
-        targets=tuple(
-            replace(
-                target,
-                corrected=moved(target.corrected, datum.targets[target.name]),
-                raw=moved(target.raw, datum.targets[target.name]),
-            )
-            if target.name in datum.targets
-            else target
-            for target in measurement.targets
-        ),
+        targets=targets_in_record_zero(measurement.targets, datum),
+    )
+
+
+def targets_in_record_zero(
+    targets: Sequence[TargetMeasurement], datum: DatumRecord | None
+) -> tuple[TargetMeasurement, ...]:
+    """Further targets with their own datums added; a fixed one has none."""
+    return tuple(
+        replace(
+            target,
+            corrected=moved(target.corrected, datum.targets[target.name]),
+            raw=moved(target.raw, datum.targets[target.name]),
+        )
+        if datum is not None and target.name in datum.targets
+        else target
+        for target in targets
     )
 
 
@@ -96,7 +104,15 @@ def columns_in_record_zero(
             name = f"{prefix}sigma_{letter}_mm"
             changed |= _changed(columns, name, offsets, _widened(axis))
         changed |= _changed(columns, f"{prefix}cov_xy_mm2", offsets, _more_covariance)
+    changed["targets"] = [
+        _moved_text(text, link) if link is not None and text is not None else text
+        for text, link in zip(columns["targets"], links, strict=True)
+    ]
     return changed
+
+
+def _moved_text(text: str, datum: DatumRecord) -> str | None:
+    return targets_text(targets_in_record_zero(targets_of(text), datum)) if datum.targets else text
 
 
 _Change = Callable[[float, Displacement], float]

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from core.results import Flag, TargetMeasurement
 from daemon.store.convert import measurement_record, stored_time
-from daemon.store.datum import datum_of, in_record_zero
+from daemon.store.datum import datum_of, in_record_zero, targets_in_record_zero
 from daemon.store.reading import fetch, value, whole_rows
 from daemon.store.records import Coverage, DatumRecord, GapCause, GapRecord, Mark, MeasurementRecord
 from daemon.store.revisions import require_head
@@ -263,7 +263,7 @@ class Overview:
         return ClosureSummary(rows, math.sqrt(square_mm2 / 2), math.sqrt(variance_mm2 / 2))
 
     def targets(self, since: datetime, until: datetime) -> list[TargetSummary]:
-        """The further targets that the newest row with any names, in its order.
+        """The further targets of the newest row with any, in its order, in the record's zero.
 
         Counted over since <= slot < until; none where no row of that span names any.
         """
@@ -284,9 +284,11 @@ class Overview:
                 fetch(self._connection, query, *limits) if found else ()
             )
         }
+        seen = targets_of(found[0]["targets"]) if found else ()
+        datum = self.datum(found[0]["calibration_id"]) if found else None
         return [
             TargetSummary(now, rows, rows_with_value, stored_time(last) if last else None)
-            for now in (targets_of(found[0]["targets"]) if found else ())
+            for now in targets_in_record_zero(seen, datum)
             for rows, rows_with_value, last in (counts[now.name],)
         ]
 
