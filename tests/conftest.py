@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import daemon  # noqa: F401
+from daemon.log import configure_log
 from tests.drivers.genicam.usb3 import bench
 
 bench.load()  # ahead of Aravis, whichever test loads that
@@ -20,6 +21,9 @@ sys.dont_write_bytecode = False
 
 # A shell that starts the tests in the background has them ignore Ctrl-C, and programs inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# As in our programs: structlog's own way draws every local variable of a traceback.
+configure_log()
 
 TALLY = "tally"
 HERE = Path(__file__).parent

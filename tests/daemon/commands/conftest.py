@@ -152,12 +152,17 @@ class Site:
     ) -> None:
         """Add a row a minute; without a frame where the disk had no room for it."""
         hash_ = load_config(self.config).config_hash()
-        for _ in range(minutes):
-            record = MeasurementRecord(
-                self.end, measurement, hash_, "1.0", main_frame=frame, sub_frame=frame, **more
-            )
-            self.write(lambda store, row=record: store.add_measurement(row))
-            self.end += MINUTE
+        with open_store(self.state) as store:
+            for _ in range(minutes):
+                store.add_measurement(
+                    MeasurementRecord(
+                        *(self.end, measurement, hash_, "1.0"),
+                        main_frame=frame,
+                        sub_frame=frame,
+                        **more,
+                    )
+                )
+                self.end += MINUTE
 
     def miss(self, minutes: int, cause: GapCause) -> None:
         """Add a gap."""
