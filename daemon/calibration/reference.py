@@ -49,7 +49,14 @@ def take_reference(
             f"zero: {ZERO_LOOKS - len(used)} of {ZERO_LOOKS} looks left out, in which something "
             f"moved or was in the way; the zero is the mean of {len(used)}"
         )
-    return slot_utc, see_pair(mean_pair([look.pair for look in used]), site)
+    zero = see_pair(mean_pair([look.pair for look in used]), site)
+    for extra, discs in zip(site.extra_targets, zero.further, strict=True):
+        if discs is None:
+            on_trouble(
+                f'zero: target "{extra.name}" is not seen, so that this calibration will not '
+                "measure it; clear its view, then take the zero again"
+            )
+    return slot_utc, zero
 
 
 def looks_alike(looks: Sequence[ViewCheck]) -> list[ViewCheck]:

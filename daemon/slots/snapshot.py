@@ -8,7 +8,7 @@ from typing import Any
 
 from core.errors import ImageError, TargetNotFoundError
 from core.images import GreyImage, require_size
-from core.recognition import disc_doubt, recognise_discs, recognise_mounted_board
+from core.recognition import disc_doubt, recognise_mounted_board, recognise_targets
 from core.results import Measurement
 from core.site import Site
 from daemon.burst import Shot
@@ -93,8 +93,8 @@ def recognition_problems(pair: CapturedPair, site: Site) -> list[str]:
 
 
 def _require_discs(image: GreyImage, site: Site) -> None:
-    """Find the main target as configured. Raises as `recognise_discs`."""
-    doubt = disc_doubt(image, recognise_discs(image, site), site)
+    """Find the main target as configured, among further ones. Raises as `recognise_targets`."""
+    doubt = disc_doubt(image, recognise_targets(image, site)[0], site)
     if doubt is not None:
         raise doubt
 
