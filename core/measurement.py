@@ -305,12 +305,13 @@ def _together(
         if fixed and name not in distrusted and common[name].residual_px < _FIXED_RESIDUAL_PX
     ]
     believed = consistent(joint, clean)
-    moved = frozenset(clean) - set(believed) | set(distrusted).intersection(joint.names)
+    moved = frozenset(clean) - set(believed)
     closure = closure_of(joint, believed)
     reasons = [Reason.FIXED_TARGET_MOVED] if moved else []
     if closure is not None and terms and is_beyond(closure):
         reasons.append(Reason.CLOSURE_TOO_LARGE)
-    return _Together(close(joint, believed), common, closure, frozenset(moved), tuple(reasons))
+    not_believed = moved | set(distrusted).intersection(joint.names)
+    return _Together(close(joint, believed), common, closure, not_believed, tuple(reasons))
 
 
 def _further(

@@ -49,7 +49,9 @@ def self_test(directory: Path) -> float:
     run = calibrate_frames(views_in(frames), site, Method.RIGID)
     calibration = ActiveCalibration(1, run.calibration)
     rows = read_frame_set(frames)
-    values = [measure().corrected for _, measure in jobs_in_set(rows, site, calibration)]
+    values = [
+        measure(()).measurement.corrected for _, measure in jobs_in_set(rows, site, calibration)
+    ]
     errors_mm = [
         np.abs(value.mm - true_mm).max() if value else math.inf
         for value, true_mm in zip(values, _true_mm(frames), strict=True)

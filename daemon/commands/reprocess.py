@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import datetime
 from functools import partial
@@ -12,7 +12,9 @@ import click
 
 from core.calibration.calibrate import Calibration
 from core.errors import CalibrationError
+from core.quality.fixed_targets import HISTORY_ROWS, PastRow
 from core.results import Flag, Measurement
+from core.rig.stability import Moment
 from core.site import Site
 from daemon.commands.options import (
     Options,
@@ -30,6 +32,7 @@ from daemon.reports.table import write_results
 from daemon.slots.measuring import (
     ActiveCalibration,
     PairFiles,
+    first_moment,
     load_pairs,
     measure,
     read_pair,
@@ -45,8 +48,8 @@ from daemon.times import EPOCH
 from drivers.frameset import FrameSet, FrameSetRow, read_frame_set
 
 Result = tuple[datetime, Measurement]
-Job = tuple[datetime, Callable[[], Measurement]]
-"""A slot, and how to measure it."""
+Job = tuple[datetime, Callable[[Sequence[PastRow]], PastRow]]
+"""A slot, and how to measure it, given the rows before."""
 
 
 @click.command(
@@ -104,10 +107,13 @@ def command(
         raise WorkFailedError(msg)
     results = []
     sequence = RowHistory(calibration, site.quality)
+    past: deque[PastRow] = deque(maxlen=HISTORY_ROWS)
     with progress(len(jobs), "measuring") as steps:
-        for slot_utc, measure in jobs:
-            judged = sequence.judge(slot_utc, measure())
-            results.append((slot_utc, in_record_zero(judged, calibration.datum)))
+        for slot_utc, measure_job in jobs:
+            alone = measure_job(past)
+            measurement = sequence.judge(slot_utc, alone.measurement)
+            past.append(PastRow(alone.moment, measurement))
+            results.append((slot_utc, in_record_zero(measurement, calibration.datum)))
             steps.next()
     targets = [extra.name for extra in site.extra_targets]
     tell(results, calibration.id, output, targets, as_json=as_json)
@@ -174,20 +180,26 @@ def jobs_kept(
 
 def _files(frames: FrameSet, row: FrameSetRow) -> PairFiles:
     main, sub = (frames.directory / name if name else None for name in (row.main, row.sub))
-    return PairFiles(main, sub, _skew_s(row), row_moment(row))
+    return PairFiles(main, sub, row_moment(row), _skew_s(row))
 
 
 def _measure_files(
-    files: list[PairFiles], site: Site, calibration: ActiveCalibration
-) -> Measurement:
-    return measure((read_pair(pair, site) for pair in files), site, calibration)
+    files: list[PairFiles], site: Site, calibration: ActiveCalibration, past: Sequence[PastRow]
+) -> PastRow:
+    pairs = (read_pair(pair, site) for pair in files)
+    return PastRow(files[0].moment, measure(pairs, site, calibration, past))
 
 
 def _measure_kept(
-    archive: FrameArchive, slot_utc: datetime, site: Site, calibration: ActiveCalibration
-) -> Measurement:
+    archive: FrameArchive,
+    slot_utc: datetime,
+    site: Site,
+    calibration: ActiveCalibration,
+    past: Sequence[PastRow],
+) -> PastRow:
     pairs, _ = load_pairs(archive, slot_utc)
-    return measure(pairs, site, calibration)
+    moment = first_moment(pairs) or Moment(slot_utc.timestamp())
+    return PastRow(moment, measure(pairs, site, calibration, past))
 
 
 def _skew_s(row: FrameSetRow) -> float | None:

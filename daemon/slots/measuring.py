@@ -14,6 +14,8 @@ from core.errors import CalibrationError, ImageError
 from core.images import GreyImage, require_size
 from core.measurement import look_at_pair, measure_pair
 from core.quality.burst import combine
+from core.quality.fixed_targets import PastRow, moved_alone, not_believed_any_more
+from core.quality.step_detection import add_reasons
 from core.quality.verdicts import flag_of
 from core.results import Flag, Measurement, Reason
 from core.rig.stability import Moment
@@ -61,8 +63,8 @@ class PairFiles:
 
     main: Path | None
     sub: Path | None
+    moment: Moment
     skew_s: float | None = None
-    moment: Moment | None = None
 
 
 def active_calibration(store: Store) -> ActiveCalibration | None:
@@ -78,10 +80,30 @@ def active_calibration(store: Store) -> ActiveCalibration | None:
 
 
 def measure(
-    pairs: Iterable[ImagePair], site: Site, calibration: ActiveCalibration | None
+    pairs: Iterable[ImagePair],
+    site: Site,
+    calibration: ActiveCalibration | None,
+    past: Sequence[PastRow] = (),
 ) -> Measurement:
-    """Measure the pairs of one slot and combine them; every slot gets an answer."""
-    return combine([_measure_one(pair, site, calibration) for pair in pairs])
+    """Measure the pairs of one slot and combine them; every slot gets an answer.
+
+    past are the rows before, in order, by which fixed targets that moved by themselves are known.
+    """
+    shown, lost = list(pairs), not_believed_any_more(past)
+    measurement = combine([_measure_one(pair, site, calibration, lost) for pair in shown])
+    moment = first_moment(shown)
+    if calibration is None or moment is None:
+        return measurement
+    moved = moved_alone(past, measurement, moment, site, calibration.calibration.calibrated)
+    if not moved:
+        return measurement
+    without = [_measure_one(pair, site, calibration, lost | moved) for pair in shown]
+    return add_reasons(combine(without), (Reason.FIXED_TARGET_MOVED,))
+
+
+def first_moment(pairs: Iterable[ImagePair]) -> Moment | None:
+    """When a slot's pairs were taken; None where no image of it could be read."""
+    return next((pair.moment for pair in pairs if pair.moment is not None), None)
 
 
 def image_pair(pair: CapturedPair, slot_utc: datetime) -> ImagePair:
@@ -163,7 +185,12 @@ def _note_size(image: GreyImage | None, camera: CameraGeometry, path: Path | Non
         _log.warning("image_wrong_size", error=str(error))
 
 
-def _measure_one(pair: ImagePair, site: Site, calibration: ActiveCalibration | None) -> Measurement:
+def _measure_one(
+    pair: ImagePair,
+    site: Site,
+    calibration: ActiveCalibration | None,
+    distrusted: frozenset[str],
+) -> Measurement:
     if len(pair.unreadable) == len(_UNREADABLE):
         return _bad(*_UNREADABLE.values())
     try:
@@ -171,7 +198,9 @@ def _measure_one(pair: ImagePair, site: Site, calibration: ActiveCalibration | N
             measurement = look_at_pair(pair.main, pair.sub, site)
         else:
             given = calibration.calibration
-            measurement = measure_pair(pair.main, pair.sub, site, given, pair.skew_s, pair.moment)
+            measurement = measure_pair(
+                pair.main, pair.sub, site, given, pair.skew_s, pair.moment, distrusted
+            )
     except Exception:  # noqa: BLE001 - a fault of ours costs this value, not the row
         _log.exception("measurement_broke")
         return _bad(Reason.INTERNAL_ERROR)

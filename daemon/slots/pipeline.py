@@ -28,7 +28,7 @@ from daemon.slots.measuring import (
     measure,
     worst_skew_s,
 )
-from daemon.slots.row_history import judge_in_history
+from daemon.slots.row_history import judge_in_history, past_rows
 from daemon.slots.supervision import Action, Policy, policy_of
 from daemon.store.database import NEVER, Store
 from daemon.store.datum import in_record_zero
@@ -182,8 +182,9 @@ def _measure(
     calibration: ActiveCalibration | None,
 ) -> Measurement:
     """Measure a slot's pairs and hold the result against the rows before."""
-    alone = measure(pairs, context.site, calibration)
     before_utc = NEVER if context.undated else slot_utc
+    past = past_rows(context.store, calibration, context.site, before_utc)
+    alone = measure(pairs, context.site, calibration, past)
     return judge_in_history(context.store, calibration, context.site.quality, before_utc, alone)
 
 

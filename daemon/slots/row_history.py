@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from datetime import datetime
 
+from core.quality.fixed_targets import HISTORY_ROWS, PastRow
 from core.quality.residual_ratio import WINDOW_ROWS
 from core.quality.step_detection import RowSummary, StepDetector, add_reasons, summarise_row
 from core.results import Measurement
-from core.site import QualityLimits
-from daemon.slots.measuring import ActiveCalibration
+from core.rig.stability import Moment
+from core.site import QualityLimits, Site, TargetRole
+from daemon.slots.measuring import ActiveCalibration, temperature_of_pair
 from daemon.store.database import Store
 from daemon.store.records import BELIEVED, SLIPPED, MeasurementRecord
 
@@ -69,3 +71,22 @@ def stored_continuity(
         return StepDetector.resumed(history, None, None)
     first = store.first_row_after(believed[-1].slot_utc, calibration.id, SLIPPED[0]) or slipped[0]
     return StepDetector.resumed(history, sample(first), sample(slipped[0]))
+
+
+def past_rows(
+    store: Store, calibration: ActiveCalibration | None, site: Site, slot_utc: datetime
+) -> list[PastRow]:
+    """The last rows before a slot by which fixed targets are judged. Raises StoreError."""
+    fixed = any(extra.role is TargetRole.FIXED for extra in site.extra_targets)
+    if not fixed or calibration is None or calibration.id is None:
+        return []
+    return [
+        PastRow(record_moment(record), record.measurement)
+        for record in store.rows_with_targets(slot_utc, calibration.id, HISTORY_ROWS)
+    ]
+
+
+def record_moment(record: MeasurementRecord) -> Moment:
+    """When a row was taken, and how warm the rig was."""
+    warm = temperature_of_pair(record.main_camera.temperature_c, record.sub_camera.temperature_c)
+    return Moment(record.slot_utc.timestamp(), warm)

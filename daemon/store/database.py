@@ -132,6 +132,13 @@ class Store(Transactions):
         with self._read() as connection:
             return measurements.last_before(connection, slot_utc, calibration_id, reasons, limit)
 
+    def rows_with_targets(
+        self, slot_utc: datetime, calibration_id: int, limit: int
+    ) -> list[MeasurementRecord]:
+        """The last rows before a slot that say something of further targets, in order."""
+        with self._read() as connection:
+            return measurements.last_with_targets(connection, slot_utc, calibration_id, limit)
+
     def first_row_after(
         self, slot_utc: datetime, calibration_id: int, reasons: str
     ) -> MeasurementRecord | None:

@@ -102,6 +102,17 @@ def last_before(
     return sorted(found, key=lambda record: record.slot_utc)[-limit:]
 
 
+def last_with_targets(
+    connection: sqlite3.Connection, slot_utc: datetime, calibration_id: int, limit: int
+) -> list[MeasurementRecord]:
+    """The last rows before a slot, by one calibration, that say something of further targets."""
+    where = (
+        "calibration_id = ? AND slot_utc < ? AND targets IS NOT NULL ORDER BY slot_utc DESC LIMIT ?"
+    )
+    before = slot_text(next_second(slot_utc))
+    return _records(connection, where, calibration_id, before, limit)[::-1]
+
+
 def first_after(
     connection: sqlite3.Connection, slot_utc: datetime, calibration_id: int, reasons: str
 ) -> MeasurementRecord | None:
