@@ -57,7 +57,7 @@ def adjusted(
     with progress(len(one), "measuring with both") as steps:
         measured = []
         for (_, by_earlier), (_, by_later) in zip(one, other, strict=True):
-            measured.append((by_earlier(), by_later()))
+            measured.append((by_earlier(()).measurement, by_later(()).measurement))
             steps.next()
     step, count = overlap_step(measured, wanted.earlier_id)
     if step is None or step.offset is None:
