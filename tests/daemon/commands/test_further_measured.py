@@ -126,7 +126,7 @@ def test_a_zero_that_does_not_show_a_target_says_so(tmp_path: Path) -> None:
     """The other one is measured by such a calibration; nobody else would notice before winter."""
     text = SIMULATED.replace("[simulation]", f"{FURTHER}\n[simulation]") + RUNNING
     hidden = f"hidden_min = {[list(span) for span in HIDDEN_MIN]}"
-    (tmp_path / "dcam.toml").write_text(text.replace(hidden, "hidden_min = [[-1e6, 1e6]]"))
+    (tmp_path / "dcam.toml").write_text(text.replace(hidden, "hidden_min = [[0.0, 1e6]]"))
     config = load_config(tmp_path / "dcam.toml")
     clock = open_clock(config)
     troubles: list[str] = []
