@@ -13,8 +13,9 @@ from core.calibration.calibrate import Calibration
 from core.images import GreyImage
 from core.results import Displacement, Flag, Measurement
 from core.rig.calibrated_site import CalibratedSite
+from core.rig.datum import through_fixed_targets
 from core.rig.stability import Moment
-from core.site import Site, TargetRole
+from core.site import MAIN, Site, TargetRole
 from daemon.datum.chain import NOTHING, datum_by
 from daemon.datum.movement import movement_sigma_mm
 from daemon.slots.measuring import ActiveCalibration, ImagePair, measure
@@ -116,6 +117,20 @@ def by_old_calibration(
     doubts += lens_changes(known.active.calibration.calibrated, new.calibration.calibrated)
     doubts += drift_beyond(measured, site)
     return candidate(step, known.active.datum, words, doubts), ""
+
+
+def by_fixed_targets(known: Known, new: NewReference, site: Site) -> Candidate | None:
+    """What has moved beside the fixed targets that both references show; None without any."""
+    old, now = known.active.calibration.calibrated, new.calibration.calibrated
+    moved = through_fixed_targets(old, now, site)
+    if moved is None or MAIN not in moved:
+        return None
+    before = {target.name for target in old.further if target.is_fixed}
+    names = [target.name for target in now.further if target.is_fixed and target.name in before]
+    targets = {name: offset for name, offset in moved.items() if name != MAIN}
+    step = DatumStep(DatumMethod.FIXED_TARGETS, known.id, moved[MAIN], targets)
+    words = f"through the fixed target{'s' if len(names) > 1 else ''} {', '.join(names)}"
+    return candidate(step, known.active.datum, words)
 
 
 def measured_targets(measured: Measurement) -> list[tuple[str, Displacement]]:

@@ -16,6 +16,7 @@ from daemon.datum.candidates import (
     Known,
     NewReference,
     SeenRow,
+    by_fixed_targets,
     by_old_calibration,
     by_rows,
     contradicted,
@@ -103,6 +104,9 @@ def _candidates(
             notes.append(why)
         else:
             found.append(old)
+        through = by_fixed_targets(known, new, site)
+        if through is not None:
+            found.append(through)
     by_record = by_rows(rows, datums, new.slot_utc)
     if by_record is not None:
         found.append(by_record)
@@ -200,4 +204,10 @@ def _zero(
         first = chosen.words
     else:
         first = f"zero: {offset_text(chosen.offset)}, {chosen.words}"
-    return Zero(link, (first, *others, *(f"zero: not {note}" for note in notes)))
+    against = [
+        f"zero: WARNING: {one.words} it is {offset_text(one.offset)}: one of the two is wrong, a "
+        "surveyed value would tell (dcam-ctl datum set)"
+        for one in candidates
+        if not one.doubts and contradicted(one, chosen, CONTRADICTION)
+    ]
+    return Zero(link, (first, *against, *others, *(f"zero: not {note}" for note in notes)))
