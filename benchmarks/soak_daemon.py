@@ -88,7 +88,7 @@ class Remembered:
         slot_utc: datetime,
         measurement: Measurement,
     ) -> Measurement:
-        """Stand in for `daemon.slots.row_history.in_sequence`, of one calibration."""
+        """Stand in for `daemon.slots.row_history.judge_in_history`, of one calibration."""
         if calibration is None or measurement.corrected is None:
             return measurement
         if self._sequence is None:

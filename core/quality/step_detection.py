@@ -6,68 +6,55 @@ that the corrected displacement jumps by just what the rig is said to have moved
 
     step of the false displacement + step of the displacement = step of the raw one, about 0.
 
-The rows before it say how large a step is unusual.
+`opposed_steps` says when that is no chance. Each row is held against the one before, and the median
+of a block of rows against that of the block before: a slip stays, a train passes.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from core.arrays import FloatArray
-from core.geometry.pose import Pose
-from core.quality.residual_ratio import WINDOW_ROWS, median_residual_ratio, residual_ratio
+from core.quality.junction import CHANNELS, Channel, Junction, interval_s
+from core.quality.opposed_steps import BLOCK_ROWS, SLIP_CHANCE
+from core.quality.residual_ratio import WINDOW_ROWS, median_residual_ratio
+from core.quality.row_series import RowSeries, RowSummary
 from core.quality.verdicts import flag_of
 from core.results import Measurement, Reason
-from core.rig.calibrated_site import CalibratedSite
-from core.rig.propagation import predict_shift
 from core.site import QualityLimits
 
-_LEAST_SIGMAS = 4.5
-"""Of the sum of two rows' sigmas: smaller steps between them are noise. Of two equal rows it is 6.4
-standard deviations of their difference, by chance one row in a billion."""
-_CANCELS = 0.6
-"""Share of the step of the displacement that the step of the rig must leave unexplained."""
-_UNUSUAL, _FEW_STEPS = 1.2, 1.5
-"""A step is unusual beyond this times the largest of n steps before, and 1 + few / n times that."""
-_ALONE = 1.6
-"""And as often as this again if the displacement's own step is not unusual."""
-_GAP_INTERVALS = 3.0
-"""Rows further apart than so many usual intervals have a gap between them."""
+USUAL_ROWS = 1440
+"""Rows that say which steps are usual: a day of minutes."""
+_LEAST_ROWS = 3
+"""Two steps: before them nothing is known of what is usual."""
+SETTLED_ROWS = 120
+"""Rows after which a slip stands: until then the bridge may show that it was none. Chosen: two
+hours of minutes; later the bridge's own way is longer than most slips."""
+_WITHDRAWN = 0.25
+"""Share of a slip that the displacement's step may still hold where there was none."""
+_WRONGLY_WITHDRAWN = 1e-3
+"""Chance that a true slip is taken back because the bridge moved just so, over all SETTLED_ROWS."""
 _DRIFT_FACTOR = 2.0
 """Residuals so many times what they were at calibration, for so long, say that lens, board or focus
 have changed. Chosen between noise of a few per cent and values that are visibly wrong."""
-_LEAST_USUAL_MM = 1e-3
-"""Of the steps that rows are compared by: below it is noise."""
-_ACROSS_ROWS = frozenset({Reason.BOARD_SLIPPED, Reason.CAMERA_BUMPED, Reason.CALIBRATION_DRIFTING})
 
-Channel = Literal["false_mm", "slide_mm"]
-_CHANNELS: tuple[Channel, ...] = ("false_mm", "slide_mm")
-_DIRECTIONS = (slice(0, 2), slice(0, 1), slice(1, 2))
-"""In the plane of the target, and x and y alone: a bridge moves far less to the side than up."""
-_ENOUGH_ROWS = 6
-"""Rows from which on x and y alone are looked at: of fewer, one is soon unusual by chance."""
+_NO_ROWS = RowSeries.of()
 
 
 @dataclass(frozen=True, slots=True)
-class RowSummary:
-    """What later rows need of a row."""
+class Jump:
+    """Steps that look more or less like a slip, and what that is worth."""
 
-    time_s: float
-    mm: FloatArray
-    """(2,) corrected displacement."""
-    false_mm: FloatArray
-    """(2,) false displacement."""
-    slide_mm: FloatArray
-    """(2,) the part of it that comes from the rig's translation: that of a board that slides."""
-    sigma_mm: FloatArray
-    """(3,) 1 sigma of the largest axis of the three."""
-    residual_ratio: float
-    """rms of the corners over what it was at calibration."""
-    trusted: bool
-    """Good in itself."""
+    chance: float
+    """Bound of the chance that rig and bridge did it; 1 where it does not look like a slip."""
+    junction: Junction
+    earlier: RowSeries
+    """The rows that say what is usual."""
+    channel: Channel
+    axis: int
+    """0 for x, 1 for y."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,63 +62,41 @@ class BoardSlip:
     """A slip that is not undone."""
 
     channel: Channel
+    axis: int
+    """0 for x, 1 for y: along which it was found."""
     by_mm: FloatArray
     """(2,) by how much the rig is wrongly said to have moved."""
-    last: RowSummary
-    """The last row with the slip."""
-
-
-def summarise_row(
-    calibrated: CalibratedSite, measurement: Measurement, time_s: float
-) -> RowSummary | None:
-    """Give what later rows need of a row, or None if it has no value."""
-    corrected, raw, motion = measurement.corrected, measurement.raw, measurement.motion
-    if corrected is None or raw is None or motion is None:
-        return None
-    seen = calibrated.reference_discs_px[np.isfinite(calibrated.reference_discs_px).all(axis=1)]
-    pose = Pose.from_vectors(motion.rotation_rad, motion.translation_mm)
-    by_motion = predict_shift(calibrated.model, seen, pose).by_motion.mean(axis=0)
-    by_translation = np.linalg.solve(calibrated.B, by_motion[:, 3:])
-    slide_mm2 = by_translation @ motion.covariance[3:, 3:] @ by_translation.T
-    variances = (corrected.covariance_mm2, corrected.covariance_mm2, slide_mm2)
-    seen_px, contrast = (
-        measurement.diagnostics.sub_residual_px,
-        measurement.diagnostics.sub_contrast_dn,
-    )
-    baseline = calibrated.baseline
-    return RowSummary(
-        time_s,
-        corrected.mm,
-        raw.mm - corrected.mm,
-        by_translation @ motion.translation_mm,
-        np.sqrt([float(np.diag(variance).max()) for variance in variances]),
-        residual_ratio(
-            baseline.sub_rms_px, baseline.sub_contrast_dn, seen_px or 0.0, contrast or 0.0
-        ),
-        _ACROSS_ROWS.issuperset(measurement.reasons),
-    )
+    since_s: float
+    """Time of the first row after it; rows from then to the first marked one are displaced, too."""
+    level: RowSeries
+    """The last rows before it, at most a block."""
+    rows: RowSeries = _NO_ROWS
+    """The rows that are marked for it, at most the last SETTLED_ROWS + 1."""
 
 
 @dataclass(frozen=True, slots=True)
 class StepDetector:
     """The rows of one calibration so far, and what they say of the next (immutable)."""
 
-    history: tuple[RowSummary, ...] = ()
+    history: RowSeries = _NO_ROWS
     """The last rows that are believed, in order."""
     slip: BoardSlip | None = None
 
     @classmethod
-    def resumed(
-        cls, history: tuple[RowSummary, ...], first: RowSummary | None, last: RowSummary | None
-    ) -> StepDetector:
-        """Continue from stored rows: those believed, and the first and last of a slip since."""
-        state = cls(history[-WINDOW_ROWS:])
-        if first is None or last is None or not state.history:
+    def resumed(cls, history: RowSeries, slipped: RowSeries) -> StepDetector:
+        """Continue from stored rows: those believed, and those of a slip since.
+
+        Of a slip that is older than SETTLED_ROWS the first row and the last SETTLED_ROWS.
+        """
+        state = cls(history[-USUAL_ROWS:])
+        if not len(slipped) or not len(state.history):
             return state
-        slip = state._slipped(first)
-        before = state.history[-1]
-        by_mm = first.false_mm - before.false_mm
-        return replace(state, slip=replace(slip or BoardSlip("false_mm", by_mm, last), last=last))
+        first = slipped[:1]
+        slip = state._slip(first)
+        if slip is None:  # marked by another version
+            junction = Junction.between(state.history[-1:], first)
+            slip = _slip_of(junction, state.history, "false_mm", 1)
+        return replace(state, slip=replace(slip, rows=slipped[-SETTLED_ROWS - 1 :]))
 
     def judge(
         self, now: RowSummary, limits: QualityLimits
@@ -142,92 +107,101 @@ class StepDetector:
         """
         if not now.trusted:
             return (), self
-        if self.slip is not None and not self._undone(self.slip, now):
-            return (Reason.BOARD_SLIPPED,), replace(self, slip=replace(self.slip, last=now))
-        slip = self._slipped(now) if self.slip is None else None
-        if slip is not None:
-            return (Reason.BOARD_SLIPPED,), replace(self, slip=slip)
+        row = RowSeries.of(now)
+        slip = self.slip or self._slip(row)
+        if slip is not None and not (self.slip and self._has_ended(slip, row)):
+            rows = slip.rows.followed_by(row)[-SETTLED_ROWS - 1 :]
+            return (Reason.BOARD_SLIPPED,), replace(self, slip=replace(slip, rows=rows))
         if self._too_fast(now, limits.max_step_mm):
             return (Reason.CAMERA_BUMPED,), replace(self, slip=None)
-        after = StepDetector((*self.history, now)[-WINDOW_ROWS:])
+        after = StepDetector(self.history.followed_by(row)[-USUAL_ROWS:])
         return ((Reason.CALIBRATION_DRIFTING,) if after.is_drifting else ()), after
 
     @property
     def residual_ratio(self) -> float | None:
         """The median residual of the last rows; None if they are too few."""
-        return median_residual_ratio([row.residual_ratio for row in self.history])
+        return median_residual_ratio(self.history.residual_ratio[-WINDOW_ROWS:].tolist())
 
     @property
     def is_drifting(self) -> bool:
         """Whether the corners fit so badly for so long that values are doubtful."""
         return self.residual_ratio is not None and self.residual_ratio > _DRIFT_FACTOR
 
-    def _slipped(self, now: RowSummary) -> BoardSlip | None:
-        rows = len(self.history)
-        if rows < 2:
+    def _slip(self, row: RowSeries) -> BoardSlip | None:
+        """Find a slip in the last rows."""
+        jump = unlikeliest_jump(self.history, row)
+        if jump is None or jump.chance > SLIP_CHANCE:
             return None
-        said = {name: getattr(now, name) - getattr(self.history[-1], name) for name in _CHANNELS}
-        for axes in _DIRECTIONS if rows >= _ENOUGH_ROWS else _DIRECTIONS[:1]:
-            for sigma_index, channel in enumerate(_CHANNELS, start=1):
-                if self._is_slip(now, channel, sigma_index, axes):
-                    return BoardSlip(channel, said[channel], now)
-        return None
+        return _slip_of(jump.junction, jump.earlier, jump.channel, jump.axis)
 
-    def _is_slip(self, now: RowSummary, channel: Channel, sigma_index: int, axes: slice) -> bool:
-        """Whether a channel's step is unusual along some axes and the displacement undoes it."""
-        before, steps = self.history[-1], len(self.history) - 1
-        moved_mm = (now.mm - before.mm)[axes]
-        said_mm = (getattr(now, channel) - getattr(before, channel))[axes]
-        size, said = float(np.linalg.norm(moved_mm)), float(np.linalg.norm(said_mm))
-        if float(np.linalg.norm(said_mm + moved_mm)) > _CANCELS * size:
+    def _has_ended(self, slip: BoardSlip, row: RowSeries) -> bool:
+        """Whether the board is back where it was, or has never been away."""
+        if self._is_withdrawn(slip, slip.rows.followed_by(row)):
+            return True
+        junctions = (Junction.of(slip.rows, row, count) for count in (1, BLOCK_ROWS))
+        return any(self._is_undone(slip, junction) for junction in junctions if junction)
+
+    def _is_undone(self, slip: BoardSlip, junction: Junction) -> bool:
+        """Whether a jump that is as unlikely by chance as a slip takes the slip back, wholly."""
+        if junction.chance_of_jump(self.history, slip.channel, slip.axis) > SLIP_CHANCE:
             return False
-        noise = _LEAST_SIGMAS * (now.sigma_mm + before.sigma_mm)
-        if size < noise[0] or said < noise[sigma_index]:
+        names = slip.channel, junction.witness
+        left_mm = junction.step_mm(names[0]) + slip.by_mm, junction.step_mm(names[1]) - slip.by_mm
+        usual_mm = [junction.usual_mm(self.history, name, slip.axis) for name in names]
+        # What the slip was is known as well as the steadier of the two told it.
+        return all(
+            abs(left[slip.axis]) <= usual + min(usual_mm)
+            for left, usual in zip(left_mm, usual_mm, strict=True)
+        )
+
+    def _is_withdrawn(self, slip: BoardSlip, rows: RowSeries) -> bool:
+        """Whether the displacement is back at its level before, as by chance it would not be.
+
+        Then it was the rig that moved, and the bridge that undid it for a while.
+        """
+        if len(slip.level) < BLOCK_ROWS or not BLOCK_ROWS <= len(rows) <= SETTLED_ROWS:
             return False
-        factor = _UNUSUAL * (1.0 + _FEW_STEPS / steps)
-        strange = said / (factor * self._usual(channel, now, axes))
-        return strange > _ALONE or (strange > 1.0 and size > factor * self._usual("mm", now, axes))
-
-    def _undone(self, slip: BoardSlip, now: RowSummary) -> bool:
-        """Whether a row is nearer to where the last one would be without the slip."""
-        plane = _DIRECTIONS[0]
-        scales = [
-            max(self._usual(name, now, plane), _LEAST_USUAL_MM) for name in (slip.channel, "mm")
-        ]
-
-        def away(undone_mm: FloatArray) -> float:
-            said = getattr(now, slip.channel) - getattr(slip.last, slip.channel) + undone_mm
-            moved = now.mm - slip.last.mm - undone_mm
-            return (
-                float(np.hypot(*said) / scales[0]) ** 2 + float(np.hypot(*moved) / scales[1]) ** 2
-            )
-
-        return away(slip.by_mm) < away(np.zeros(2))
+        junction = Junction.between(slip.level, rows[-BLOCK_ROWS:])
+        moved_mm, by_mm = junction.step_mm("mm")[slip.axis], slip.by_mm[slip.axis]
+        if abs(moved_mm) > _WITHDRAWN * abs(by_mm):
+            return False
+        earlier = self.history[: int(np.searchsorted(self.history.time_s, slip.since_s))]
+        chance = junction.chance(abs(moved_mm + by_mm), earlier, "mm", slip.axis)
+        return chance < _WRONGLY_WITHDRAWN / (SETTLED_ROWS - BLOCK_ROWS + 1)
 
     def _too_fast(self, now: RowSummary, max_step_mm: float | None) -> bool:
-        if max_step_mm is None or not self.history:
+        if max_step_mm is None or not len(self.history):
             return False
-        before, interval_s = self.history[-1], self._interval_s
-        slots = max(1.0, (now.time_s - before.time_s) / interval_s) if interval_s else 1.0
-        return float(np.hypot(*(now.mm - before.mm))) > max_step_mm * slots
+        usual_s, elapsed_s = interval_s(self.history.time_s), now.time_s - self.history.time_s[-1]
+        slots = max(1.0, elapsed_s / usual_s) if usual_s else 1.0
+        return float(np.hypot(*(now.mm - self.history.values_mm("mm")[-1]))) > max_step_mm * slots
 
-    @property
-    def _interval_s(self) -> float:
-        times = np.array([row.time_s for row in self.history])
-        return float(np.median(np.diff(times))) if len(times) > 1 else 0.0
 
-    def _usual(self, name: str, now: RowSummary, axes: slice) -> float:
-        """The largest step of the rows so far; after a gap, or across one, their whole range.
+def unlikeliest_jump(recent: RowSeries, row: RowSeries) -> Jump | None:
+    """Find the jump in the last rows that is least likely by chance; None after too few rows."""
+    if len(recent) < _LEAST_ROWS:
+        return None
+    jumps = []
+    for count in (1, BLOCK_ROWS):
+        junction = Junction.of(recent, row, count)
+        if junction is not None:
+            earlier = recent[: len(recent) - count + 1]
+            jumps += [
+                Jump(junction.chance_of_jump(earlier, name, axis), junction, earlier, name, axis)
+                for name in CHANNELS
+                for axis in (0, 1)
+            ]
+    return min(jumps, key=lambda jump: jump.chance)
 
-        A gap that is longer than the rows so far leaves room for as many times that range.
-        """
-        baseline = np.array([getattr(row, name)[axes] for row in self.history])
-        usual = float(np.linalg.norm(np.diff(baseline, axis=0), axis=1).max())
-        gap_s = now.time_s - self.history[-1].time_s
-        if gap_s > _GAP_INTERVALS * self._interval_s:
-            spans = gap_s / max(self.history[-1].time_s - self.history[0].time_s, 1e-9)
-            usual = max(usual, max(spans, 1.0) * float(np.linalg.norm(np.ptp(baseline, axis=0))))
-        return max(usual, float(self.history[-1].sigma_mm.max()))
+
+def _slip_of(junction: Junction, earlier: RowSeries, channel: Channel, axis: int) -> BoardSlip:
+    """What the steadier of channel and witness says of a slip."""
+    witness = junction.witness
+    channel_mm, witness_mm = (junction.usual_mm(earlier, name, axis) for name in (channel, witness))
+    by_channel = channel_mm < witness_mm
+    by_mm = junction.step_mm(channel) if by_channel else -junction.step_mm(witness)
+    since_s = float(junction.after.time_s[0])
+    return BoardSlip(channel, axis, by_mm, since_s, earlier[-BLOCK_ROWS:])
 
 
 def add_reasons(measurement: Measurement, reasons: tuple[Reason, ...]) -> Measurement:

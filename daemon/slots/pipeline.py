@@ -28,7 +28,7 @@ from daemon.slots.measuring import (
     measure,
     worst_skew_s,
 )
-from daemon.slots.row_history import judge_in_history, past_rows
+from daemon.slots.row_history import judge_in_history, past_rows, slip_that_began
 from daemon.slots.supervision import Action, Policy, policy_of
 from daemon.store.database import NEVER, Store
 from daemon.store.datum import in_record_zero
@@ -103,6 +103,7 @@ def run_slot(
         context.disk.with_room(lambda: add(record))
     except Exception as error:  # noqa: BLE001 - as above; frames that were kept are measured late
         return _missed(slot_utc, error, GapCause.STORAGE_FAILED)
+    _note_slip(context, record, calibration)
     _acknowledge(context, record, calibration.datum if calibration else None, started_s)
     return record
 
@@ -116,6 +117,7 @@ def record_late(context: SlotContext, slot_utc: datetime) -> MeasurementRecord:
     record = measure_stored(context, slot_utc)
     datum = context.store.datum(record.calibration_id)
     context.store.add_measurement(record)
+    _note_slip(context, record, active_calibration(context.store))
     _acknowledge(context, record, datum, started_s)
     context.late_row_done(slot_utc)
     return record
@@ -186,6 +188,18 @@ def _measure(
     past = past_rows(context.store, calibration, context.site, before_utc)
     alone = measure(pairs, context.site, calibration, past)
     return judge_in_history(context.store, calibration, context.site.quality, before_utc, alone)
+
+
+def _note_slip(
+    context: SlotContext, record: MeasurementRecord, calibration: ActiveCalibration | None
+) -> None:
+    """Write into the history since when the board has been elsewhere, at the first row marked."""
+    try:
+        told = None if context.undated else slip_that_began(context.store, calibration, record)
+        if told is not None:
+            context.store.add_event(context.clock.now_utc(), "board_slipped", told)
+    except StoreError as error:  # the row is stored, and says it too
+        _log.warning("slip_not_noted", slot=slot_text(record.slot_utc), error=str(error))
 
 
 def _in_state(context: SlotContext, path: str) -> str:

@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
 
 from core.quality.fixed_targets import HISTORY_ROWS, PastRow
-from core.quality.residual_ratio import WINDOW_ROWS
-from core.quality.step_detection import RowSummary, StepDetector, add_reasons, summarise_row
-from core.results import Measurement
+from core.quality.residual_ratio import residual_ratio
+from core.quality.row_series import RowSeries, slide_by_translation, summarise_row
+from core.quality.step_detection import (
+    SETTLED_ROWS,
+    USUAL_ROWS,
+    BoardSlip,
+    StepDetector,
+    add_reasons,
+)
+from core.results import Measurement, Reason
+from core.rig.calibrated_site import CalibratedSite
 from core.rig.stability import Moment
 from core.site import QualityLimits, Site, TargetRole
 from daemon.slots.measuring import ActiveCalibration, temperature_of_pair
-from daemon.store.database import Store
-from daemon.store.records import BELIEVED, SLIPPED, MeasurementRecord
+from daemon.store.database import ALWAYS, Store
+from daemon.store.records import BELIEVED, SLIPPED, MeasurementRecord, PastRows
+from daemon.times import slot_text
+
+_SECOND = timedelta(seconds=1)
 
 
 class RowHistory:
@@ -51,6 +64,25 @@ def judge_in_history(
     return RowHistory(calibration, limits, so_far).judge(slot_utc, measurement)
 
 
+def slip_that_began(
+    store: Store, calibration: ActiveCalibration | None, record: MeasurementRecord
+) -> str | None:
+    """Say of a stored row that is the first one marked for a slip since when, and how far.
+
+    Raises StoreError.
+    """
+    if calibration is None or Reason.BOARD_SLIPPED not in record.measurement.reasons:
+        return None
+    slip = stored_continuity(store, calibration, record.slot_utc + _SECOND).slip
+    return _slip_text(slip) if slip is not None and len(slip.rows) == 1 else None
+
+
+def _slip_text(slip: BoardSlip) -> str:
+    since_utc = datetime.fromtimestamp(slip.since_s, UTC)
+    x_mm, y_mm = slip.by_mm
+    return f"since {slot_text(since_utc)}, x {x_mm:+.3f} y {y_mm:+.3f} mm of false displacement"
+
+
 def stored_continuity(
     store: Store, calibration: ActiveCalibration, slot_utc: datetime
 ) -> StepDetector:
@@ -58,19 +90,46 @@ def stored_continuity(
     if calibration.id is None:
         return StepDetector()
     calibrated = calibration.calibration.calibrated
-
-    def sample(row: MeasurementRecord) -> RowSummary | None:
-        return summarise_row(calibrated, row.measurement, row.slot_utc.timestamp())
-
-    believed = store.rows_before(slot_utc, calibration.id, BELIEVED, WINDOW_ROWS)
-    history = tuple(known for known in map(sample, believed) if known is not None)
-    if not believed:
+    history = _series(
+        calibrated, store.past_rows(calibration.id, BELIEVED, USUAL_ROWS, ALWAYS, slot_utc)
+    )
+    if not len(history):
         return StepDetector()
-    slipped = store.rows_before(slot_utc, calibration.id, SLIPPED, 1)
-    if not slipped or slipped[0].slot_utc < believed[-1].slot_utc:
-        return StepDetector.resumed(history, None, None)
-    first = store.first_row_after(believed[-1].slot_utc, calibration.id, SLIPPED[0]) or slipped[0]
-    return StepDetector.resumed(history, sample(first), sample(slipped[0]))
+    after_utc = datetime.fromtimestamp(history.time_s[-1], UTC) + _SECOND
+    first, last = (
+        _series(
+            calibrated,
+            store.past_rows(calibration.id, SLIPPED, rows, after_utc, slot_utc, newest=newest),
+        )
+        for rows, newest in ((1, False), (SETTLED_ROWS, True))
+    )
+    later = int(np.searchsorted(last.time_s, first.time_s, side="right").sum())
+    return StepDetector.resumed(history, first.followed_by(last[later:]))
+
+
+def _series(calibrated: CalibratedSite, rows: PastRows) -> RowSeries:
+    """Give stored rows as later ones need them; how sure a slide was is not read."""
+    baseline = calibrated.baseline
+    sigma_mm = rows.sigma_mm.max(axis=1, initial=0.0)
+    return RowSeries.of_columns(
+        rows.time_s,
+        {
+            "mm": rows.mm,
+            "false_mm": rows.raw_mm - rows.mm,
+            "slide_mm": rows.translation_mm @ slide_by_translation(calibrated).T,
+        },
+        {"mm": sigma_mm, "false_mm": sigma_mm},
+        np.array(
+            [
+                residual_ratio(baseline.sub_rms_px, baseline.sub_contrast_dn, *seen)
+                for seen in zip(
+                    np.nan_to_num(rows.sub_residual_px).tolist(),
+                    np.nan_to_num(rows.sub_contrast_dn).tolist(),
+                    strict=True,
+                )
+            ]
+        ),
+    )
 
 
 def past_rows(

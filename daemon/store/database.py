@@ -38,6 +38,7 @@ from daemon.store.records import (
     GapRecord,
     Mark,
     MeasurementRecord,
+    PastRows,
 )
 from daemon.store.runs import run_between, schedule_slots
 from daemon.store.sqlite import existing_path
@@ -125,12 +126,24 @@ class Store(Transactions):
                 for values in batch.rows():
                     yield measurement_record(values)
 
-    def rows_before(
-        self, slot_utc: datetime, calibration_id: int, reasons: Sequence[str], limit: int
-    ) -> list[MeasurementRecord]:
-        """The last rows with a value before a slot, by one calibration and reasons, in order."""
+    def past_rows(
+        self,
+        calibration_id: int,
+        reasons: Sequence[str],
+        limit: int,
+        since: datetime = ALWAYS,
+        until: datetime = NEVER,
+        *,
+        newest: bool = True,
+    ) -> PastRows:
+        """The last (or first) rows with a value and since <= slot < until, in order.
+
+        Only those by one calibration whose reasons, as the table holds them, are among the given.
+        """
         with self._read() as connection:
-            return measurements.last_before(connection, slot_utc, calibration_id, reasons, limit)
+            return measurements.past(
+                connection, calibration_id, reasons, since, until, limit, newest=newest
+            )
 
     def rows_with_targets(
         self, slot_utc: datetime, calibration_id: int, limit: int
@@ -138,13 +151,6 @@ class Store(Transactions):
         """The last rows before a slot that say something of further targets, in order."""
         with self._read() as connection:
             return measurements.last_with_targets(connection, slot_utc, calibration_id, limit)
-
-    def first_row_after(
-        self, slot_utc: datetime, calibration_id: int, reasons: str
-    ) -> MeasurementRecord | None:
-        """The first row after a slot, by one calibration, with these reasons."""
-        with self._read() as connection:
-            return measurements.first_after(connection, slot_utc, calibration_id, reasons)
 
     def measured_slots(self, since: datetime = ALWAYS, until: datetime = NEVER) -> set[datetime]:
         """The slots that have a row, since <= slot < until."""

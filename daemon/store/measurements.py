@@ -7,18 +7,23 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
+import numpy as np
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from daemon.errors import SlotTakenError, StoreError
+from daemon.errors import DamagedRowError, SlotTakenError, StoreError
 from daemon.store import gaps
 from daemon.store.convert import measurement_columns, measurement_record, stored_time
 from daemon.store.reading import fetch, value, whole_rows
-from daemon.store.records import MeasurementRecord
+from daemon.store.records import MeasurementRecord, PastRows
 from daemon.store.runs import next_second
 from daemon.store.schema import MeasurementRow
 from daemon.times import slot_text
 
+_PAST = (
+    *("x_mm", "y_mm", "raw_x_mm", "raw_y_mm", "tx_mm", "ty_mm", "tz_mm"),
+    *("sigma_x_mm", "sigma_y_mm", "sub_residual_px", "sub_contrast_dn"),
+)
 _WITHIN = "slot_utc >= ? AND slot_utc < ?"
 
 
@@ -77,29 +82,43 @@ def find(connection: sqlite3.Connection, slot_utc: datetime) -> MeasurementRecor
     return _first(_records(connection, "slot_utc = ?", slot_text(slot_utc)))
 
 
-def last_before(
+def past(
     connection: sqlite3.Connection,
-    slot_utc: datetime,
     calibration_id: int,
     reasons: Sequence[str],
+    since: datetime,
+    until: datetime,
     limit: int,
-) -> list[MeasurementRecord]:
-    """The last rows with a value before a slot, by one calibration, in order.
+    *,
+    newest: bool = True,
+) -> PastRows:
+    """The last (or first) rows with a value and since <= slot < until, by one calibration.
 
-    Only those whose reasons, as the table holds them, are among the given.
+    Only those whose reasons, as the table holds them, are among the given. Raises DamagedRowError.
     """
-    where = (
-        "calibration_id = ? AND slot_utc < ? AND x_mm IS NOT NULL AND reasons = ?"
-        " ORDER BY slot_utc DESC LIMIT ?"
+    query = (
+        f"SELECT CAST(strftime('%s', slot_utc) AS INTEGER), {', '.join(_PAST)} FROM measurement"  # noqa: S608 - our own words
+        " WHERE calibration_id = ? AND reasons = ? AND slot_utc >= ? AND slot_utc < ?"
+        f" AND x_mm IS NOT NULL ORDER BY slot_utc {'DESC' if newest else 'ASC'} LIMIT ?"
     )
-    before = slot_text(next_second(slot_utc))
+    begin, end = _limits(since, until)
     # One after the other, so that the index gives the last ones of each without a search.
     found = [
-        record
+        row
         for word in reasons
-        for record in _records(connection, where, calibration_id, before, word, limit)
+        for row in fetch(connection, query, calibration_id, word, begin, end, limit)
     ]
-    return sorted(found, key=lambda record: record.slot_utc)[-limit:]
+    found = sorted(found)[-limit:] if newest else sorted(found)[:limit]
+    try:
+        table = np.array(found, dtype=np.float64).reshape(len(found), 1 + len(_PAST))
+    except (TypeError, ValueError) as error:
+        msg = f"a number of a row is none: {error}"
+        raise DamagedRowError(msg) from error
+    columns = np.split(table, np.cumsum([1, 2, 2, 3, 2, 1]), axis=1)
+    time_s, mm, raw_mm, translation_mm, sigma_mm, residual_px, contrast_dn = columns
+    return PastRows(
+        time_s[:, 0], mm, raw_mm, translation_mm, sigma_mm, residual_px[:, 0], contrast_dn[:, 0]
+    )
 
 
 def last_with_targets(
@@ -111,15 +130,6 @@ def last_with_targets(
     )
     before = slot_text(next_second(slot_utc))
     return _records(connection, where, calibration_id, before, limit)[::-1]
-
-
-def first_after(
-    connection: sqlite3.Connection, slot_utc: datetime, calibration_id: int, reasons: str
-) -> MeasurementRecord | None:
-    """The first row after a slot, by one calibration, with these reasons."""
-    where = "slot_utc > ? AND calibration_id = ? AND reasons = ? ORDER BY slot_utc LIMIT 1"
-    after = slot_text(slot_utc.replace(microsecond=0))
-    return _first(_records(connection, where, after, calibration_id, reasons))
 
 
 def unsynchronised(connection: sqlite3.Connection, boot_id: str) -> list[MeasurementRecord]:

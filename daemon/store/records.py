@@ -8,6 +8,7 @@ from datetime import date, datetime, timedelta
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
+from core.arrays import FloatArray
 from core.results import CalibrationReport, Displacement, Measurement, Reason
 
 if TYPE_CHECKING:
@@ -99,6 +100,26 @@ class MeasurementRecord:
     """The frames were found without a row after a restart, and measured then."""
     main_camera: CameraState = field(default_factory=CameraState)
     sub_camera: CameraState = field(default_factory=CameraState)
+
+
+@dataclass(frozen=True, slots=True)
+class PastRows:
+    """What a new row is held against of rows before it, in order; read far faster than records."""
+
+    time_s: FloatArray
+    """(n,) slots, since 1970."""
+    mm: FloatArray
+    """(n, 2) corrected displacement."""
+    raw_mm: FloatArray
+    """(n, 2)."""
+    translation_mm: FloatArray
+    """(n, 3) of the rig."""
+    sigma_mm: FloatArray
+    """(n, 2) of the corrected displacement."""
+    sub_residual_px: FloatArray
+    """(n,) nan where there is none."""
+    sub_contrast_dn: FloatArray
+    """(n,) likewise."""
 
 
 @dataclass(frozen=True, slots=True)

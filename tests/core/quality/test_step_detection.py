@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from benchmarks import slip as bridges
+from benchmarks.slip import BRIDGES, Simulate, row_chances
 from core.arrays import FloatArray
-from core.quality.step_detection import RowSummary, StepDetector, summarise_row
+from core.quality.opposed_steps import (
+    BLOCK_ROWS,
+    RAREST,
+    ROWS_A_FALSE_ALARM,
+    TAIL_POWER,
+    chance_of,
+    chance_of_product,
+)
+from core.quality.row_series import RowSeries, RowSummary, summarise_row
+from core.quality.step_detection import SETTLED_ROWS, USUAL_ROWS, StepDetector
 from core.results import Reason
 from core.site import QualityLimits
 from tests.core.scenes import MINUTE
@@ -81,14 +93,43 @@ def judged(
     return reasons
 
 
+@pytest.mark.parametrize("simulate", BRIDGES, ids=lambda simulate: simulate.__name__)
+def test_clean_rows_of_any_bridge_are_no_slip(simulate: Simulate):
+    """The stated rate is shown over years by `benchmarks.slip`; here over five days of each."""
+    chances = row_chances(simulate(np.random.default_rng(21), 7000).rows())
+    assert chances.min() > 1.0 / ROWS_A_FALSE_ALARM
+    assert (chances < 1e-3).sum() <= 7
+
+
 @pytest.mark.parametrize(
-    ("kind", "rows", "sets"),
-    [(pier, 600, 10), (upright, 600, 10), (hourly, 12, 150), (laboratory, 12, 150)],
+    ("kind", "rows", "sets"), [(pier, 200, 5), (upright, 200, 5), (hourly, 12, 150)]
 )
 def test_what_moves_as_it_always_did_is_no_slip(kind: Callable[..., Rows], rows: int, sets: int):
     rng = np.random.default_rng(3)
-    flagged = sum(any(judged(kind(rng, rows), rng, np.zeros(2))) for _ in range(sets))
-    assert flagged <= 0.01 * sets
+    assert not any(any(judged(kind(rng, rows), rng, np.zeros(2))) for _ in range(sets))
+
+
+@pytest.mark.parametrize("rows", [8, 30])
+def test_the_chance_of_a_step_is_no_smaller_than_it_says(rows: int):
+    """Pareto's distribution: as heavy a tail as is allowed for."""
+    steps = 1.0 + np.random.default_rng(6).pareto(TAIL_POWER, (60_000, rows + 1))
+    chances = np.array([chance_of(step[0], step[1:], rows, 0.0, TAIL_POWER) for step in steps])
+    for limit in (0.1, 0.01, 0.001):
+        assert np.mean(chances <= limit) < limit + 4.0 * np.sqrt(limit / len(chances))
+
+
+@pytest.mark.parametrize("rows", [4, 6, 10])
+def test_short_sets_raise_no_false_alarm(rows: int):
+    """Rig and bridge walk at random, tails of Student's t of 3."""
+    chances = bridges.short_set_chances(rows, 50_000, seed=3)
+    assert chances.min() > 1.0 / ROWS_A_FALSE_ALARM
+    assert (chances <= 1e-3).sum() <= 50
+
+
+def test_two_independent_chances_have_so_small_a_product_as_seldom_as_said():
+    both = np.random.default_rng(7).uniform(size=(2_000_000, 2)).clip(RAREST, None).prod(axis=1)
+    for product in (1e-3, 1e-4, 1e-5):
+        assert np.mean(both <= product) == pytest.approx(2.0 * chance_of_product(product), rel=0.1)
 
 
 @pytest.mark.parametrize("known", [5, 10, 30])
@@ -104,35 +145,140 @@ def test_what_went_on_in_a_gap_longer_than_the_rows_before_is_no_slip(known: int
         assert said == ()
 
 
-def test_rows_at_random_are_rarely_taken_for_a_slip():
+def test_rows_at_random_are_never_taken_for_a_slip():
     rng = np.random.default_rng(4)
-    rows = [row for _ in range(300) for row in judged(anywhere(rng, 12), rng, np.zeros(2))]
-    assert np.mean([bool(row) for row in rows]) < 0.005
+    assert not any(row for _ in range(300) for row in judged(anywhere(rng, 12), rng, np.zeros(2)))
 
 
 @pytest.mark.parametrize(
-    ("kind", "rows", "slip_mm", "share"),
+    ("simulate", "slip_mm", "at_once", "later"),
     [
-        (pier, 300, 4.0, 0.9),
-        (upright, 300, 0.5, 0.65),
-        (hourly, 14, 2.0, 0.8),
-        (hourly, 14, 4.0, 0.95),
-        (laboratory, 12, 0.7, 1.0),
-        (laboratory, 12, 2.0, 1.0),
+        (bridges.quiet, 0.2, 0.95, 0.95),
+        (bridges.vibrating, 2.0, 0.7, 0.9),
+        (bridges.opposed_warmth, 1.0, 0.95, 0.95),
+        (bridges.traffic, 10.0, 0.6, 0.8),
+        (bridges.nights, 10.0, 0.6, 0.8),
+        (bridges.hourly, 20.0, 0.8, 0.9),
     ],
+    ids=lambda value: getattr(value, "__name__", value),
 )
-def test_a_slip_is_reported_until_it_is_undone(
-    kind: Callable[..., Rows], rows: int, slip_mm: float, share: float
+def test_a_slip_that_is_large_for_its_bridge_is_seen(
+    simulate: Simulate, slip_mm: float, at_once: float, later: float
 ):
-    rng, reported, after = np.random.default_rng(5), [], []
+    shares = bridges.power(simulate, slip_mm, USUAL_ROWS, seed=5, trials=25)
+    assert shares[0] >= at_once
+    assert shares[1] >= later
+
+
+@pytest.mark.parametrize("slip_mm", [0.7, 2.0])
+def test_a_slip_is_reported_until_it_is_undone(slip_mm: float):
+    """The laboratory: a dozen rows, a target at rest."""
+    rng = np.random.default_rng(5)
     for _ in range(60):
         angle = rng.integers(4) * np.pi / 2.0
         slip = slip_mm * np.array([np.cos(angle), np.sin(angle)])
-        reasons = judged(kind(rng, rows), rng, slip, slice(rows - 7, rows - 3))
-        reported += [said == (Reason.BOARD_SLIPPED,) for said in reasons[-7:-3]]
-        after += [said == () for said in reasons[-3:]]
-    assert np.mean(reported) >= share
-    assert np.mean(after) > 0.97
+        reasons = judged(laboratory(rng, 12), rng, slip, slice(8, 10))
+        assert [bool(said) for said in reasons] == [False] * 8 + [True] * 2 + [False] * 2
+
+
+def quiet_day(
+    n: int = USUAL_ROWS, seed: int = 8
+) -> tuple[RowSeries, Callable[[int, float, float], RowSummary]]:
+    """A day of a quiet bridge, and what makes later rows of it: number, rig and bridge (mm, y)."""
+    rng = np.random.default_rng(seed)
+
+    def at(k: int, rig_mm: float = 0.0, bridge_mm: float = 0.0) -> RowSummary:
+        noise, moved = rng.normal(0.0, SIGMA_MM / 2, (2, 2))
+        mm, false_mm = np.array([[0.0, bridge_mm], [0.0, rig_mm]])
+        now = mm + 3.0 * moved - noise, false_mm + noise, 0.1 * false_mm
+        return RowSummary(60.0 * k, *now, np.full(3, SIGMA_MM), 1.0, trusted=True)
+
+    return RowSeries.of(*(at(k - n) for k in range(n))), at
+
+
+def marked(state: StepDetector, rows: Iterable[RowSummary]) -> tuple[list[bool], StepDetector]:
+    """Which of some rows are marked as slipped, and the state after them."""
+    found = []
+    for row in rows:
+        reasons, state = state.judge(row, QualityLimits())
+        found.append(Reason.BOARD_SLIPPED in reasons)
+    return found, state
+
+
+def test_a_slip_stands_for_as_long_as_it_lasts_and_ends_with_it():
+    day, at = quiet_day()
+    slipped = [at(k, 1.0, -1.0) for k in range(300)]
+    found, state = marked(StepDetector(day), [*slipped, *(at(300 + k) for k in range(5))])
+    assert found == [True] * 300 + [False] * 5
+    assert state.slip is None
+
+
+def test_a_board_put_back_to_another_place_stays_suspect():
+    day, at = quiet_day()
+    _, state = marked(StepDetector(day), [at(k, 1.0, -1.0) for k in range(30)])
+    assert all(marked(state, [at(30 + k, 0.4, -0.4) for k in range(40)])[0])
+
+
+def test_a_false_alarm_is_taken_back_when_the_bridge_shows_that_it_was_one():
+    """The rig moves for good; at the same time the bridge moves against it, for five rows."""
+    day, at = quiet_day()
+    rows = [at(k, 1.0, -1.0 if k < 5 else 0.0) for k in range(60)]
+    found, _ = marked(StepDetector(day), rows)
+    assert all(found[:5])
+    assert not any(found[12:])
+
+
+def test_it_goes_on_from_stored_rows_as_if_it_had_never_stopped():
+    day, at = quiet_day()
+    slipped = [at(k, 1.0, -1.0) for k in range(200)]
+    back = [at(200 + k) for k in range(3)]
+    for stop in (1, 5, 40, 119, 120, 121, 200):
+        rows = RowSeries.of(*slipped[:stop])
+        kept = rows if stop <= SETTLED_ROWS else rows[:1].followed_by(rows[1:][-SETTLED_ROWS:])
+        found, _ = marked(StepDetector.resumed(day, kept), [*slipped[stop:], *back])
+        assert found == [True] * (200 - stop) + [False] * 3
+
+
+def test_a_slip_seen_late_says_since_when():
+    """Too small to be seen in one row: the block of rows after it shows it."""
+    day, at = quiet_day()
+    found, state = marked(StepDetector(day), [at(k, 0.11, -0.11) for k in range(BLOCK_ROWS)])
+    assert found == [False] * (BLOCK_ROWS - 1) + [True]
+    assert state.slip is not None
+    assert state.slip.since_s == 0.0
+    assert state.slip.by_mm == pytest.approx([0.0, 0.11], abs=0.03)
+
+
+def with_plate(row: RowSummary, closure_mm: float) -> RowSummary:
+    return replace(row, closure_mm=np.array([0.0, closure_mm]), closure_sigma_mm=SIGMA_MM)
+
+
+@pytest.mark.parametrize("known", [10, 300])
+def test_a_plate_at_rest_shows_a_slip_that_the_bridge_hides(known: int):
+    rng = np.random.default_rng(9)
+    _, at = quiet_day(0)
+    traffic = rng.standard_t(3, 400)
+    rows = [
+        with_plate(at(k, 0.3 * (k >= known), traffic[k] - 0.3 * (k >= known)), c)
+        for k, c in zip(
+            range(known + 5),
+            rng.normal(0.0, SIGMA_MM, known + 5) - 0.3 * (np.arange(known + 5) >= known),
+            strict=True,
+        )
+    ]
+    found, _ = marked(StepDetector(), rows)
+    assert found == [False] * known + [True] * 5
+
+
+def test_a_plate_at_rest_shows_that_it_was_the_rig():
+    """What the bridge alone would say is a slip: the plate does not."""
+    day, at = quiet_day()
+    rng = np.random.default_rng(10)
+    plate = [with_plate(at(k), c) for k, c in enumerate(rng.normal(0.0, SIGMA_MM, 30))]
+    moved = [
+        with_plate(at(30 + k, 1.0, -1.0), c) for k, c in enumerate(rng.normal(0.0, SIGMA_MM, 12))
+    ]
+    assert not any(marked(StepDetector(day), [*plate, *moved])[0])
 
 
 def samples(count: int, **changes: object) -> list[RowSummary]:
@@ -160,9 +306,12 @@ def test_a_target_that_moves_faster_than_it_may_is_reported():
     assert state.judge(jumped, QualityLimits(max_step_mm=2.0))[0] == (Reason.CAMERA_BUMPED,)
 
 
-@pytest.mark.parametrize("squares", [(1, 0), (2, 0), (0, 2), (-3, 0), (0.35, 0.0), (0.0, 0.5)])
+@pytest.mark.parametrize("squares", [(2, 0), (0, 2), (-3, 0)])
 def test_rendered_boards_that_slipped_are_never_good(usual: Session, squares: tuple[float, float]):
-    """Ten rows, four minutes apart; the board slips after six of them."""
+    """Ten rows, four minutes apart; the board slips after six of them.
+
+    The bridge moves by a third of a millimetre from row to row: after six, no less can be told.
+    """
     site, state, flagged = usual.with_world(), StepDetector(), []
     for k in range(10):
         site.world.slip_board(*(2.0 * np.array(squares) * (k >= 6)))

@@ -11,6 +11,7 @@ import pytest
 from daemon.config.reading import find_installation
 from daemon.main import serve
 from daemon.store.database import open_store_readonly
+from daemon.times import slot_text
 from drivers.sim.world import World
 from tests.daemon.commands.conftest import SIMULATED, Ctl, rows_of
 
@@ -48,8 +49,12 @@ def test_rows_of_a_slipped_board_stay_suspect_until_it_is_back(
     slipping(0.0)
     serve(site, max_slots=2)
     with open_store_readonly(tmp_path / "state") as store:
-        said = ["+".join(row.measurement.reasons) for row in store.measurements()]
+        rows = list(store.measurements())
+        told = [event.detail for event in store.events() if event.kind == "board_slipped"]
+    said = ["+".join(row.measurement.reasons) for row in rows]
     assert said == [""] * SLOTS + ["board_slipped"] * 3 + [""] * 2
+    assert len(told) == 1
+    assert told[0].startswith(f"since {slot_text(rows[SLOTS].slot_utc)}, x ")
     again = tmp_path / "again.csv"
     site_flags = ("--config", tmp_path / "dcam.toml", "--state", tmp_path / "state")
     assert ctl(*site_flags, "reprocess", "--output", again).code == 0
