@@ -49,8 +49,13 @@ _PLACE: dict[Quantity, slice] = {
     "slide_mm": slice(5, 7),
     "closure_mm": slice(7, 9),
 }
+"""Columns of a series that hold the x and y of a quantity."""
 _SIGMA_PLACE: dict[Quantity, int] = {"mm": 9, "false_mm": 10, "slide_mm": 11, "closure_mm": 12}
-_RATIO_PLACE, _WIDTH = 13, 14
+"""The column of its sigma."""
+_RATIO_PLACE = 13
+"""Column of the residual ratio, behind time, quantities and sigmas."""
+_WIDTH = 14
+"""Columns of a series: as many as there are of these."""
 
 
 @dataclass(frozen=True, slots=True)
