@@ -12,7 +12,15 @@ from daemon.errors import ConfigError, HardwareError
 from drivers.clock import SteppedClock, SystemClock
 from drivers.genicam.serial_number import is_same_serial, places_of
 from drivers.pair import SynchronizedPair
-from drivers.protocols import Camera, CameraSettings, Clock, FramePairSource, PanTiltHead, Role
+from drivers.protocols import (
+    Camera,
+    CameraSettings,
+    Clock,
+    FramePairSource,
+    PanTiltHead,
+    Role,
+    Sensor,
+)
 
 if TYPE_CHECKING:
     from drivers.sim.world import World
@@ -238,6 +246,19 @@ def open_head(config: Config) -> PanTiltHead:
             raise _wrong(config, "pan_tilt.home_deg", problem)
         head = TimedPelcoHead(line, settings, section.address, section.speed_level)
     return head if section.home_deg == (0.0, 0.0) else HomedHead(head, section.home_deg)
+
+
+def open_sensor(config: Config, number: int) -> Sensor:
+    """Give the sensor of a reading, by its place in the config; nothing is opened or loaded yet."""
+    from drivers.sensors.command import CommandSensor
+    from drivers.sensors.file import FileSensor
+    from drivers.sensors.modbus import ModbusSensor
+    from drivers.sensors.modbus_url import ModbusAddress
+
+    source = config.reading[number].source
+    if isinstance(source, ModbusAddress):
+        return ModbusSensor(source)
+    return CommandSensor(source) if isinstance(source, tuple) else FileSensor(source)
 
 
 def camera_settings(config: Config, role: Role) -> CameraSettings:

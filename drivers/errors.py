@@ -61,5 +61,9 @@ class ImageMissingError(FrameSetError):
     """An image that the table of a frame set names is not there."""
 
 
+class SensorError(DriverError):
+    """A sensor gave no number this time; the message says why, and not always what to do."""
+
+
 class MissingLibraryError(DriverError):
     """The library a backend needs is not installed; the message says how to install it."""

@@ -236,6 +236,23 @@ class PanTiltHead(Protocol):
         ...
 
 
+class Sensor(Protocol):
+    """Something that gives one number when asked."""
+
+    @property
+    def bus(self) -> str:
+        """Sensors of one bus are read one after the other."""
+        ...
+
+    def read(self, timeout_s: float) -> float:
+        """Give a finite number. Raises `drivers.errors.SensorError`, within the time if it can."""
+        ...
+
+    def stop(self) -> None:
+        """Cut off a read that is under way in another thread, if that can be; none follows."""
+        ...
+
+
 class Clock(Protocol):
     """Where time comes from: UTC to identify, monotonic to wait."""
 

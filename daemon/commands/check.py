@@ -14,6 +14,7 @@ from daemon.checks.disk import check_room, check_speed
 from daemon.checks.drawing import check_drawing
 from daemon.checks.finding import Finding
 from daemon.checks.long_look import check_long
+from daemon.checks.readings import check_readings
 from daemon.checks.record import check_database, check_state
 from daemon.checks.serial_port import check_port_rivals
 from daemon.commands.options import Options, common_options, json_option, pass_options
@@ -40,7 +41,7 @@ from daemon.errors import ExitCode
 @common_options
 @pass_options
 def command(options: Options, hardware: bool, is_long: bool, as_json: bool) -> int:
-    """Check config, geometry, state, database, calibration, clock and alarm.
+    """Check config, geometry, state, database, calibration, clock, alarm and sensors.
 
     With --hardware also the computer, cameras, head and disk. Each line is ok, warning or error,
     and says what to do. Nothing is changed; a file that is written to try the disk is removed
@@ -67,6 +68,7 @@ def _findings(site: Installation, *, hardware: bool, is_long: bool) -> Iterator[
     yield check_clock(simulated=config.has_stepped_clock)
     yield from check_alarm(config.alarm, site.config_path)
     yield check_backend(config)
+    yield from check_readings(config)
     if not hardware:
         return
     yield check_user(state)

@@ -87,7 +87,8 @@ def command(
     """Write a copy of the config with simulated cameras and head, everything else as it is.
 
     So calibrate, dcamd and capture run on the site's own geometry before any hardware is there.
-    [alarm] is left out: a trial notifies nobody. Ends with the commands to run next.
+    [alarm] and [[reading]] are left out: a trial notifies nobody and has no sensors. Ends with the
+    commands to run next.
 
     --season writes images instead of waiting for them: calibration and rows over months, as
     [simulation], [simulation.climate] and [simulation.breathing] have it.
@@ -160,6 +161,7 @@ def simulated(source: Path, clock: str, now_utc: datetime) -> str:
         simulation["start_utc"] = begin_utc
     for name, key in _LEFT_OUT:
         document.get(name, {}).pop(key, None)
+    document.pop("reading", None)
     text: str = tomlkit.dumps(document)
     return text
 

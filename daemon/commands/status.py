@@ -95,6 +95,8 @@ def status_fields(facts: Facts, items: list[Item]) -> dict[str, object]:
         ],
         "last": result_fields(facts.last.slot_utc, facts.last.measurement) if facts.last else None,
         "last_good_slot_utc": facts.last_good_utc,
+        "temperatures_c": _temperatures(facts),
+        "readings": _readings(facts),
         "calibration": None
         if calibration is None
         else {
@@ -127,6 +129,23 @@ def _target_fields(target: TargetSummary) -> dict[str, object]:
         "rows_with_value_24h": target.rows_with_value,
         "last_value_slot_utc": target.last_value_utc,
     }
+
+
+def _temperatures(facts: Facts) -> dict[str, float | None]:
+    """What the cameras said at the last row."""
+    if facts.last is None:
+        return {}
+    cameras = {"main": facts.last.main_camera, "sub": facts.last.sub_camera}
+    return {role: camera.temperature_c for role, camera in cameras.items()}
+
+
+def _readings(facts: Facts) -> list[dict[str, object]]:
+    """The sensors at the last row."""
+    failed = facts.readings_failed
+    return [
+        {**asdict(one), "failed_since_utc": failed.get(one.name)}
+        for one in (facts.last.readings if facts.last else ())
+    ]
 
 
 def coverage_fields(coverage: Coverage) -> dict[str, object]:

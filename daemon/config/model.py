@@ -16,6 +16,7 @@ from pydantic import Field, PrivateAttr, Strict
 
 from core.site import Site, StabilityBudget
 from daemon.config.alarm import AlarmSection
+from daemon.config.readings import MOST_READINGS, ReadingSection
 from daemon.config.simulation import SimulationSection
 from daemon.config.site import (
     CamerasSection,
@@ -208,6 +209,9 @@ class Config(Section):
     pan_tilt: PanTiltSection = PanTiltSection()
     quality: QualitySection = QualitySection()
     stability: StabilitySection = StabilitySection()
+    reading: Annotated[
+        tuple[ReadingSection, ...], Strict(strict=False), Field(max_length=MOST_READINGS)
+    ] = ()
     storage: StorageSection = StorageSection()
     retention: RetentionSection = RetentionSection()
     alarm: AlarmSection = AlarmSection()

@@ -105,6 +105,10 @@ def _describe(item: ErrorDetails, model: type[BaseModel]) -> str:
         return f"must have {most} {limit} values, has {context['actual_length']}"
     if kind.startswith(("datetime", "timezone", "time_zone")):
         return f"must be a time in UTC such as 2026-03-01T00:00:00Z, is {shown}"
+    if kind == "string_pattern_mismatch":  # there is one pattern, that of names
+        return f"must be made of a-z, 0-9 and -, at most 32, is {shown}"
+    if kind == "string_too_long":
+        return f"must have at most {context['max_length']} characters, is {shown}"
     if kind == "string_too_short":
         return "must not be empty"
     return f"{item['msg']}, is {shown}"

@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from daemon.config.model import BURST_SHARE, DEFAULT_STATE_DIRECTORY, Config
 from daemon.config.plausibility import implausible_values
 from daemon.config.problems import describe_problems
+from daemon.config.readings import reading_problems
 from daemon.config.simulation import SimulationSection
 from daemon.errors import ConfigError
 from daemon.file_errors import file_error_text
@@ -98,6 +99,7 @@ def _contradictions(config: Config) -> list[str]:
         )
     problems += _exposure_problems(config)
     problems += _burst_problems(config)
+    problems += reading_problems(config)
     head = config.pan_tilt
     if head.port is not None and (problem := port_problem(head.port)):
         problems.append(f'pan_tilt.port: "{head.port}" {problem}')

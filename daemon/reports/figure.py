@@ -62,7 +62,8 @@ def draw(
     else:
         title = f"{title}, lowest and highest of every {span_text(series.bin_s)}"
     known, closed = series.true_mm is not None, bool(np.isfinite(series.closure_mm).any())
-    count = 4 + known + closed
+    units = _units(series)
+    count = 4 + known + closed + len(units)
     figure = Figure(figsize=(11.0, 2.0 + 2.0 * count), layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=12)
@@ -72,9 +73,12 @@ def draw(
     if known:
         _error(panels[2], series)
     if closed:
-        _closure(panels[-3], series)
-    _motion(panels[-2], series, series.rotation_mrad, "rotation (mrad)", "r")
-    _motion(panels[-1], series, series.translation_mm, "translation (mm)", "t")
+        _closure(panels[2 + known], series)
+    rotation, translation, *readings = panels[2 + known + closed :]
+    _motion(rotation, series, series.rotation_mrad, "rotation (mrad)", "r")
+    _motion(translation, series, series.translation_mm, "translation (mm)", "t")
+    for panel, unit in zip(readings, units, strict=True):
+        _readings(panel, series, unit)
     for panel in panels:
         _mark_gaps(panel, gaps)
         panel.grid(alpha=0.25, linewidth=0.5)
@@ -110,6 +114,7 @@ def _broken_at_gaps(series: Series, gaps: Sequence[GapSpan]) -> Series:
         closure_sigma_mm=broken(series.closure_sigma_mm),
         targets_mm={name: broken(mm) for name, mm in series.targets_mm.items()},
         true_mm=None if series.true_mm is None else broken(series.true_mm),
+        readings=broken(series.readings),
     )
 
 
@@ -182,6 +187,32 @@ def _motion(panel: Axes, series: Series, values: FloatArray, label: str, symbol:
         style = {"color": AXES[axis], "linewidth": 1.2, "label": f"{symbol}{name}"}
         _line(panel, series, values[:, axis], **style)
     panel.set_ylabel(f"rig {label}")
+
+
+def _units(series: Series) -> list[str]:
+    """The units of the readings that have a value, each once."""
+    return list(
+        dict.fromkeys(
+            channel.unit
+            for number, channel in enumerate(series.channels)
+            if np.isfinite(series.readings[:, number]).any()
+        )
+    )
+
+
+def _readings(panel: Axes, series: Series, unit: str) -> None:
+    """Draw the readings of one unit."""
+    from matplotlib import colormaps
+
+    colours = colormaps["tab10"].colors  # type: ignore[attr-defined]
+    shown = [number for number, channel in enumerate(series.channels) if channel.unit == unit]
+    for number in shown:
+        values = series.readings[:, number]
+        if np.isfinite(values).any():
+            colour = colours[number % len(colours)]
+            label = series.channels[number].label
+            _line(panel, series, values, color=colour, linewidth=1.2, label=label)
+    panel.set_ylabel({"degC": "temperature (°C)"}.get(unit, unit))
 
 
 def _mark_flags(panel: Axes, series: Series, axis: int) -> None:

@@ -15,10 +15,11 @@ from core.results import Flag
 from core.site import TargetRole
 from daemon.errors import WorkFailedError
 from daemon.reports.figure import GapSpan
-from daemon.reports.series import BINS, Envelope, Points, Series
+from daemon.reports.series import BINS, CAMERAS, Channel, Envelope, Points, Series
 from daemon.store.columns import Columns, Tell, read_columns, target_roles
 from daemon.store.database import Store
 from daemon.store.records import Coverage, GapRecord
+from daemon.store.sensors import Sensor, sensor_columns, sensors_within
 from daemon.store.targets import columns_of_target, values_of_targets
 from daemon.text import utc_text
 
@@ -64,6 +65,19 @@ class TargetHistory:
 
 
 @dataclass(frozen=True, slots=True)
+class ReadingSummary:
+    """What a sensor, or a camera of itself, has said."""
+
+    name: str
+    unit: str
+    rows: int
+    """Those with a value."""
+    mean: float
+    lowest: float
+    highest: float
+
+
+@dataclass(frozen=True, slots=True)
 class History:
     """A stretch of the record."""
 
@@ -81,6 +95,7 @@ class History:
     """Of the rows that are not good, by number."""
     calibrations: tuple[int, ...]
     """Those that rows were measured with."""
+    readings: tuple[ReadingSummary, ...]
 
 
 def read_history(
@@ -98,11 +113,16 @@ def read_history(
     roles = target_roles(store.path, since_utc, until_utc)
     drawn_targets = [name for name, role in roles.items() if role == TargetRole.MEASURED]
     fits = coverage.measured <= MOST_POINTS
-    drawn = Points(drawn_targets) if fits else Envelope(since_utc, until_utc, drawn_targets)
-    summary = Summary(roles)
+    sensors = sensors_within(store.path, since_utc, until_utc)
+    channels = (*CAMERAS, *(Channel(sensor.name, sensor.unit) for sensor in sensors))
+    names = drawn_targets, channels
+    drawn = Points(*names) if fits else Envelope(since_utc, until_utc, *names)
+    summary, said = Summary(roles), Readings(channels)
     for rows in read_columns(store.path, since_utc, until_utc, tell):
-        drawn.add(rows)
+        readings = _readings(rows, sensors)
+        drawn.add(rows, readings)
         summary.add(rows)
+        said.add(readings)
     return History(
         since_utc=since_utc,
         until_utc=until_utc,
@@ -114,7 +134,16 @@ def read_history(
         targets=summary.targets(),
         reasons=tuple(summary.reasons.most_common()),
         calibrations=tuple(sorted(summary.calibrations)),
+        readings=said.summaries(),
     )
+
+
+def _readings(rows: Columns, sensors: Sequence[Sensor]) -> FloatArray:
+    """(rows, channels) the cameras' temperatures, then the sensors' readings."""
+    cameras = rows.numbers("main_temperature_c", "sub_temperature_c")
+    columns = sensor_columns(rows.values["readings"], sensors)
+    said = [np.array(columns[sensor.column], dtype=np.float64)[:, None] for sensor in sensors]
+    return np.hstack([cameras, *said])
 
 
 def _span(
@@ -196,6 +225,38 @@ class Summary:
                 name, role, self._named[name], _month("", good[name]) if len(good[name]) else None
             )
             for name, role in self._roles.items()
+        )
+
+
+class Readings:
+    """Figures of readings as they come."""
+
+    def __init__(self, channels: Sequence[Channel]) -> None:
+        self._channels = channels
+        self._counts = np.zeros(len(channels), dtype=np.int64)
+        self._sums = np.zeros(len(channels))
+        self._lowest = np.full(len(channels), np.inf)
+        self._highest = -self._lowest
+
+    def add(self, readings: FloatArray) -> None:
+        """Take those of some rows, (rows, channels)."""
+        self._counts += np.isfinite(readings).sum(axis=0)
+        self._sums += np.nansum(readings, axis=0)
+        self._lowest = np.fmin(self._lowest, np.fmin.reduce(readings, axis=0))
+        self._highest = np.fmax(self._highest, np.fmax.reduce(readings, axis=0))
+
+    def summaries(self) -> tuple[ReadingSummary, ...]:
+        """Those that have said something."""
+        numbers = zip(
+            self._channels,
+            *(self._counts.tolist(), self._sums.tolist()),
+            *(self._lowest.tolist(), self._highest.tolist()),
+            strict=True,
+        )
+        return tuple(
+            ReadingSummary(channel.label, channel.unit, count, total / count, low, high)
+            for channel, count, total, low, high in numbers
+            if count
         )
 
 

@@ -141,6 +141,9 @@ def _row(row: MeasurementRecord) -> Iterator[GaugeMetricFamily]:
         shift = (measured.motion.translation_mm * M_PER_MM).tolist()
         yield _by_axis("rig_translation_metres", "Of the rig since the reference", shift)
     yield from _cameras(row)
+    readings = (((one.name, one.unit), one.value) for one in row.readings)
+    text = "Of a sensor at the last row, in its unit"
+    yield _labelled("reading", text, ("name", "unit"), readings)
 
 
 def _closure(windows: Mapping[str, ClosureSummary | None]) -> Iterator[GaugeMetricFamily]:

@@ -15,6 +15,7 @@ from daemon.reports.files import require_library
 from daemon.reports.slot_table import SlotTable, kind_of_column
 from daemon.store import column_meanings
 from daemon.store.columns import BATCH
+from daemon.store.sensors import Sensor, is_reading
 from daemon.store.targets import target_of_column
 from daemon.times import utc_array
 from daemon.version import VERSION
@@ -41,7 +42,11 @@ def write_netcdf(slots: SlotTable, path: Path, site: str) -> int:
     count = 0
     with h5netcdf.File(path, "w") as file:
         _describe(file, site)
-        variables = {name: _variable(file, name) for name in slots.columns}
+        meanings = {sensor.column: _meaning(sensor) for sensor in slots.sensors}
+        variables = {
+            name: _variable(file, name, meanings.get(name) or column_meanings.of(name))
+            for name in slots.columns
+        }
         for batch in slots.batches:
             part = slice(count, count + len(batch))
             file.resize_dimension("time", part.stop)
@@ -63,9 +68,13 @@ def _describe(file: Any, site: str) -> None:
     station[...] = site
 
 
-def _variable(file: Any, name: str) -> Any:
+def _meaning(sensor: Sensor) -> column_meanings.Meaning:
+    return column_meanings.Meaning(sensor.unit, f"reading {sensor.name}")
+
+
+def _variable(file: Any, name: str, meaning: column_meanings.Meaning) -> Any:
     """A variable over the slots, empty; the slots themselves are the coordinate `time`."""
-    kind, meaning = kind_of_column(name), column_meanings.of(name)
+    kind = kind_of_column(name)
     _, key = _split(name)
     if name == "slot_utc":
         variable = _create(file, "time", np.float64)
@@ -108,7 +117,8 @@ def _annotate(variable: Any, name: str, meaning: column_meanings.Meaning) -> Non
 
 def _split(name: str) -> tuple[str, str]:
     """Of a further target's column what stands before its key, and the key."""
-    target = None if name in column_meanings.MEANINGS else target_of_column(name)
+    own = name in column_meanings.MEANINGS or is_reading(name)
+    target = None if own else target_of_column(name)
     return ("", name) if target is None else (f"{target[0]}_", target[1])
 
 

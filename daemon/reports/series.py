@@ -27,6 +27,18 @@ TimeArray = npt.NDArray[np.datetime64]
 
 
 @dataclass(frozen=True, slots=True)
+class Channel:
+    """One of the readings that a figure shows."""
+
+    label: str
+    unit: str
+
+
+CAMERAS = (Channel("main camera", "degC"), Channel("sub-camera", "degC"))
+"""What the cameras say of their own temperatures: the first two readings of every record."""
+
+
+@dataclass(frozen=True, slots=True)
 class Series:
     """What the figure shows, point by point; NaN where there is no value.
 
@@ -57,6 +69,9 @@ class Series:
     """(n, 2)."""
     targets_mm: Mapping[str, FloatArray]
     """(n, 2) corrected, of each measured further target."""
+    readings: FloatArray
+    """(n, channels)."""
+    channels: tuple[Channel, ...] = ()
     true_mm: FloatArray | None = None
     """(n, 2) true displacement, where a simulation knows it."""
     bin_s: float | None = None
@@ -101,44 +116,50 @@ def series_of(
 class Points:
     """A series of every row, with some further targets."""
 
-    def __init__(self, targets: Sequence[str] = ()) -> None:
-        self._targets = tuple(targets)
+    def __init__(self, targets: Sequence[str] = (), channels: tuple[Channel, ...] = ()) -> None:
+        self._targets, self._channels = tuple(targets), channels
         self._times: list[TimeArray] = []
         self._shown: list[FloatArray] = []
         self._withheld: list[BoolArray] = []
 
-    def add(self, rows: Columns) -> None:
-        """Take rows, in the order of their slots."""
+    def add(self, rows: Columns, readings: FloatArray) -> None:
+        """Take rows, in the order of their slots, and their readings (rows, channels)."""
         flags = np.array(rows.values["flag"], dtype=np.int8)
         self._times.append(utc_array(rows.values["slot_utc"]))
-        self._shown.append(_shown(_numbers(rows, self._targets), flags))
+        shown = _shown(_numbers(rows, self._targets), flags)
+        self._shown.append(np.hstack([shown, readings]))
         self._withheld.append(flags == Flag.BAD)
 
     def series(self) -> Series:
         """What was taken."""
         times = np.concatenate([np.empty(0, "datetime64[us]"), *self._times])
-        shown = np.concatenate([np.empty((0, _width(self._targets))), *self._shown])
+        width = _width(self._targets) + len(self._channels)
+        shown = np.concatenate([np.empty((0, width)), *self._shown])
         withheld = np.concatenate([np.empty(0, np.bool_), *self._withheld])
-        return _series(times, shown, withheld, self._targets)
+        return _series(times, shown, withheld, self._targets, self._channels)
 
 
 class Envelope:
     """The lowest and the highest value of each of equal spans of time: no peak is lost."""
 
     def __init__(
-        self, since_utc: datetime, until_utc: datetime, targets: Sequence[str] = ()
+        self,
+        since_utc: datetime,
+        until_utc: datetime,
+        targets: Sequence[str] = (),
+        channels: tuple[Channel, ...] = (),
     ) -> None:
-        self._targets = tuple(targets)
+        self._targets, self._channels = tuple(targets), channels
         self._begin = np.datetime64(since_utc.replace(tzinfo=None), "us")
         self._bin_s = (until_utc - since_utc).total_seconds() / BINS
-        self._low = np.full((BINS, _width(self._targets)), np.nan)
+        self._low = np.full((BINS, _width(self._targets) + len(channels)), np.nan)
         self._high = self._low.copy()
         self._withheld = np.zeros(BINS, dtype=np.bool_)
 
-    def add(self, rows: Columns) -> None:
-        """Take rows, in the order of their slots."""
+    def add(self, rows: Columns, readings: FloatArray) -> None:
+        """Take rows, in the order of their slots, and their readings (rows, channels)."""
         flags = np.array(rows.values["flag"], dtype=np.int8)
-        shown = _shown(_numbers(rows, self._targets), flags)
+        shown = np.hstack([_shown(_numbers(rows, self._targets), flags), readings])
         since_s = (utc_array(rows.values["slot_utc"]) - self._begin) / np.timedelta64(1, "s")
         bins = np.clip(since_s // self._bin_s, 0, BINS - 1).astype(np.int64)
         firsts = np.flatnonzero(np.diff(bins, prepend=-1))
@@ -156,13 +177,15 @@ class Envelope:
         for upper in (_UPPER, _CLOSURE_SIGMA):
             shown[:, :, upper] = self._high[:, None, upper]
         points, withheld = shown.reshape(2 * BINS, -1), np.repeat(self._withheld, 2)
-        return _series(np.repeat(times, 2), points, withheld, self._targets, bin_s=self._bin_s)
+        names = self._targets, self._channels
+        return _series(np.repeat(times, 2), points, withheld, *names, bin_s=self._bin_s)
 
 
 _RAW, _CORRECTED, _LOWER, _UPPER = slice(0, 2), slice(2, 4), slice(4, 6), slice(6, 8)
 _ROTATION, _TRANSLATION, _SUSPECT = slice(8, 11), slice(11, 14), slice(14, 16)
 _CLOSURES, _CLOSURE_SIGMA, _FURTHER = slice(16, 18), slice(18, 20), 20
-"""Where the columns of a series stand in one array; two for each further target come last."""
+"""Where the columns of a series stand in one array; two for each further target
+follow, then the readings."""
 
 
 def _width(targets: Sequence[str]) -> int:
@@ -198,6 +221,7 @@ def _series(
     shown: FloatArray,
     withheld: BoolArray,
     targets: Sequence[str] = (),
+    channels: tuple[Channel, ...] = (),
     true_mm: FloatArray | None = None,
     bin_s: float | None = None,
 ) -> Series:
@@ -217,6 +241,8 @@ def _series(
             name: shown[:, _FURTHER + 2 * k : _FURTHER + 2 * k + 2]
             for k, name in enumerate(targets)
         },
+        readings=shown[:, _width(targets) :],
+        channels=channels,
         true_mm=true_mm,
         bin_s=bin_s,
     )

@@ -17,6 +17,7 @@ from daemon.store.database import Store
 from daemon.store.records import GapRecord
 from daemon.store.runs import next_second, run_between, slot_at, unix_s
 from daemon.store.schema import Kind, MeasurementRow, kind_of
+from daemon.store.sensors import CAUSES, Sensor, is_reading, sensor_columns, sensors_within
 from daemon.store.targets import (
     TARGET_COLUMNS,
     columns_of_target,
@@ -30,16 +31,18 @@ DETAIL = "detail"
 
 TARGETS = "targets"
 """The column of the database that becomes columns of each further target."""
+READINGS = "readings"
+"""The column of the database that becomes a column of each sensor."""
 
 EXTRA_COLUMNS = tuple(
     column.name
     for column in MeasurementRow.__table__.columns
-    if column.name not in {"id", DIGEST, TARGETS, *RESULT_COLUMNS}
+    if column.name not in {"id", DIGEST, TARGETS, READINGS, *RESULT_COLUMNS}
 )
 """What `export` adds to the columns of `reprocess`, in the order of the database."""
 
 COLUMNS = (*RESULT_COLUMNS, *EXTRA_COLUMNS, DETAIL)
-"""Of a site without further targets; those of a target come before the last one."""
+"""Of a site without further targets and sensors; theirs come before the last one."""
 
 Missed = tuple[str, str, str]
 """A slot in a gap: slot, cause, detail."""
@@ -52,23 +55,31 @@ class SlotTable:
     columns: tuple[str, ...]
     batches: Iterator[Columns]
     """Many slots at a time, each with all columns."""
+    sensors: tuple[Sensor, ...] = ()
 
 
 def slot_table(store: Store, since: datetime, until: datetime, tell: Tell) -> SlotTable:
     """Slots with since <= slot < until, in order: rows, and those in gaps with flag 9.
 
-    Of a slot in a gap the reasons are the gap's cause. Further targets have the names that the
-    rows give them. Raises StoreError; DatabaseDamagedError, at the latest as the batches are read,
-    names the first row that is not what was written.
+    Of a slot in a gap the reasons are the gap's cause. Further targets and sensors have the names
+    that the rows give them. Raises StoreError; DatabaseDamagedError, at the latest as the batches
+    are read, names the first row that is not what was written.
     """
     targets = list(target_roles(store.path, since, until))
     columns = (column for name in targets for column in columns_of_target(name, TARGET_COLUMNS))
-    batches = _batches(store, since, until, tell, targets)
-    return SlotTable((*COLUMNS[:-1], *columns, DETAIL), batches)
+    sensors = sensors_within(store.path, since, until)
+    said = (*(sensor.column for sensor in sensors), CAUSES) if sensors else ()
+    batches = _batches(store, since, until, tell, targets, sensors)
+    return SlotTable((*COLUMNS[:-1], *columns, *said, DETAIL), batches, sensors)
 
 
 def _batches(
-    store: Store, since: datetime, until: datetime, tell: Tell, targets: Sequence[str]
+    store: Store,
+    since: datetime,
+    until: datetime,
+    tell: Tell,
+    targets: Sequence[str],
+    sensors: Sequence[Sensor],
 ) -> Iterator[Columns]:
     limits = range(*(unix_s(next_second(time)) for time in (since, until)))
     missed = _MissedSlots(store.gaps(since, until), limits)
@@ -78,17 +89,19 @@ def _batches(
             taken = missed.until(slots[-1])
             # As many as may stand in memory together: more may come before the next row.
             end = bisect_left(slots, taken[-1][0]) if len(taken) == BATCH else len(slots)
-            yield _joined(rows, slice(begin, end), taken, targets)
+            yield _joined(rows, slice(begin, end), taken, targets, sensors)
             begin = end
     while taken := missed.until("~"):
-        yield _joined(Columns({"slot_utc": ()}), slice(0), taken, targets)
+        yield _joined(Columns({"slot_utc": ()}), slice(0), taken, targets, sensors)
 
 
 def kind_of_column(name: str) -> Kind:
     """What a column of the table holds."""
+    if is_reading(name):
+        return "real"
     target = None if name in COLUMNS else target_of_column(name)
     key = name if target is None else target[1]
-    return "text" if key in {DETAIL, "role"} else kind_of(key)
+    return "text" if key in {CAUSES, DETAIL, "role"} else kind_of(key)
 
 
 class _MissedSlots:
@@ -114,7 +127,11 @@ def _slots_of(gap: GapRecord, limits: range) -> Iterator[Missed]:
 
 
 def _joined(
-    rows: Columns, part: slice, missed: Sequence[Missed], targets: Sequence[str]
+    rows: Columns,
+    part: slice,
+    missed: Sequence[Missed],
+    targets: Sequence[str],
+    sensors: Sequence[Sensor],
 ) -> Columns:
     """Rows and missed slots as one table in order; where both claim a slot, the row counts."""
     slots = rows.values["slot_utc"][part]
@@ -130,6 +147,8 @@ def _joined(
     order = sorted(range(len(every)), key=every.__getitem__) if missed else None
     measured_columns = {name: rows.values[name][part] for name in COLUMNS if name in rows.values}
     measured_columns |= values_of_targets(rows.values.get(TARGETS, ())[part], targets)
+    if sensors:
+        measured_columns |= sensor_columns(rows.values.get(READINGS, ())[part], sensors)
     table: dict[str, Sequence[Any]] = {}
     for name in dict.fromkeys((*COLUMNS, *measured_columns)):
         measured_values = measured_columns.get(name, [None] * len(slots))

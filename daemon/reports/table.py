@@ -19,6 +19,7 @@ from daemon.store.convert import (
     STABILITY_COLUMNS,
     result_columns,
 )
+from daemon.store.sensors import is_reading
 from daemon.store.targets import TARGET_RESULT_COLUMNS, columns_of_target, target_values
 from daemon.times import slot_text
 
@@ -98,6 +99,8 @@ class _Table:
 
 def _cells(name: str, values: Sequence[Any]) -> Sequence[str]:
     kind = kind_of_column(name)
+    if is_reading(name):  # as they were stored: their units are the site's
+        return ["" if value is None else repr(value) for value in values]
     if kind == "real":
         return _real_cells(values, DECIMALS[name.rpartition("_")[2]])
     if kind == "truth":

@@ -17,6 +17,8 @@ from core.site import Site
 from daemon.burst import BurstPlan, Shot, take_burst
 from daemon.clock.machine import Machine, this_machine
 from daemon.errors import StoreError
+from daemon.readings.changes import Changes
+from daemon.readings.sampler import Sampler
 from daemon.retention.guard import DiskGuard
 from daemon.slots.exposure import ExposureLoop
 from daemon.slots.measuring import (
@@ -33,7 +35,7 @@ from daemon.slots.supervision import Action, Policy, policy_of
 from daemon.store.database import NEVER, Store
 from daemon.store.datum import in_record_zero
 from daemon.store.frames.archive import FrameArchive, StoredPair, camera_state
-from daemon.store.records import DatumRecord, GapCause, MeasurementRecord
+from daemon.store.records import DatumRecord, GapCause, MeasurementRecord, Reading
 from daemon.times import slot_text
 from daemon.version import VERSION
 from drivers.errors import DeviceError, DeviceLostError, DriverError
@@ -71,6 +73,10 @@ class SlotContext:
     burst: BurstPlan = field(default_factory=BurstPlan)
     exposure: ExposureLoop | None = None
     """What follows the light from slot to slot; None where exposure is fixed."""
+    readings: Sampler = field(default_factory=Sampler)
+    """The sensors, asked ahead of each slot."""
+    changes: Changes | None = None
+    """Tells which readings have begun to fail; None where nobody is told."""
     machine: Machine = field(default_factory=this_machine)
     undated: bool = False
     """Whether the clock is before the last slot: pairs are kept apart then, until their slots are
@@ -93,11 +99,12 @@ def run_slot(
         shots = _take(context, slot_utc, source, started_s)
     except Exception as error:  # noqa: BLE001 - whatever a driver raises costs this slot only
         return _missed(slot_utc, error, GapCause.CAPTURE_FAILED)
+    readings = context.readings.collect(slot_utc)
     try:
-        stored = _keep_frames(context, slot_utc, shots)
+        stored = _keep_frames(context, slot_utc, shots, readings)
         calibration = active_calibration(context.store)
         record = _measure_captured(context, slot_utc, shots, stored, calibration)
-        record = replace(record, clock_synchronised=synchronised)
+        record = replace(record, clock_synchronised=synchronised, readings=readings)
         _follow_light(context, source, shots, record.measurement, calibration)
         add = context.store.add_undated if context.undated else context.store.add_measurement
         context.disk.with_room(lambda: add(record))
@@ -105,6 +112,8 @@ def run_slot(
         return _missed(slot_utc, error, GapCause.STORAGE_FAILED)
     _note_slip(context, record, calibration)
     _acknowledge(context, record, calibration.datum if calibration else None, started_s)
+    if context.changes is not None:
+        context.changes.note(readings)
     return record
 
 
@@ -148,6 +157,7 @@ def measure_stored(context: SlotContext, slot_utc: datetime) -> MeasurementRecor
         captured_utc=first.captured_utc,
         main_camera=first.main_camera,
         sub_camera=first.sub_camera,
+        readings=context.readings.of_stored(first.readings),
     )
 
 
@@ -225,7 +235,7 @@ def _follow_light(
 
 
 def _keep_frames(
-    context: SlotContext, slot_utc: datetime, shots: Sequence[Shot]
+    context: SlotContext, slot_utc: datetime, shots: Sequence[Shot], readings: Sequence[Reading]
 ) -> StoredPair | None:
     """Put the frames on the disk and give the first pair's places.
 
@@ -233,10 +243,12 @@ def _keep_frames(
     burst those stay that found room.
     """
     first: StoredPair | None = None
+    values = {one.name: one.value for one in readings}
     try:
         for shot in shots:
             context.disk.require_room()
-            stored = context.archive.store(slot_utc, shot.pair, shot.captured_utc, shot.number)
+            taken = shot.pair, shot.captured_utc, shot.number
+            stored = context.archive.store(slot_utc, *taken, values)
             first = first or stored
     except StoreError as error:
         context.disk.frames_refused(slot_utc, error)

@@ -92,6 +92,7 @@ class SlotRunner:
             slot = self._next_slot()
             self._settle_debts()
             far_s = (slot - self._seen[0]).total_seconds()
+            self._context.readings.ahead(slot, far_s)
             if not self._context.clock.wait_until(slot, self._stop, far_s):
                 break
             self._watch_clock()

@@ -19,6 +19,8 @@ from daemon.control.requests import ControlRequests
 from daemon.devices import open_clock, open_pair_source, require_backend
 from daemon.errors import ConfigError, StoreError, WorkFailedError
 from daemon.log import configure_log
+from daemon.readings.changes import Changes
+from daemon.readings.sampler import open_sampler
 from daemon.retention.guard import DiskGuard
 from daemon.schedule import Schedule
 from daemon.slots.exposure import last_known, loop_of
@@ -79,7 +81,7 @@ class Service:
         store, clock, state = self._store, self._clock, self._station.installation.state_directory
         done = 0
         with ExitStack() as opened:
-            opened.callback(self._close_cameras)
+            opened.callback(self._close_devices)
             self._reporter.recovering()
             self._station.context.disk.make_room(STEPS_AT_START)
             last_utc = recover(self._station.context, self._station.schedule)
@@ -102,8 +104,9 @@ class Service:
         mark_stop(store, clock.now_utc())
         _log.info("stopped", slots=done)
 
-    def _close_cameras(self) -> None:
+    def _close_devices(self) -> None:
         self._station.source.close()
+        self._station.context.readings.close()
 
     def _build(self, installation: Installation) -> Station:
         """Make all of it; cameras are opened later. Raises ConfigError, DriverError."""
@@ -117,6 +120,8 @@ class Service:
             DiskGuard(self._store, archive, config.retention.rules(), self._clock),
             config.burst_plan(),
             exposure=loop_of(config),
+            readings=open_sampler(config),
+            changes=Changes(self._store, self._clock),
             machine=simulated_machine(self._clock) if config.has_stepped_clock else this_machine(),
             late_row_done=self._reporter.late_row_done,
         )
@@ -132,6 +137,8 @@ class Service:
         if context.exposure is not None:
             context.exposure.begin(source, last_known(self._store))
         prepare_cameras(source)
+        if context.changes is not None:
+            context.changes.begin()
         since = self._clock.now_utc() - DAY
         circuit = Circuit(ended_before=len(self._store.events(since, kind=PROCESS_SPENT)))
         runner = SlotRunner(
@@ -178,7 +185,7 @@ class Service:
         """Go on with another station; what its start costs in slots is a gap that says so."""
         config = station.installation.config
         with self._lease.slot(self._clock.now_utc()):  # a look ends first
-            self._close_cameras()
+            self._close_devices()
             self._station = station
         configure_log(config.log.format, config.log.level)
         self._store.add_event(self._clock.now_utc(), "reloaded", config.config_hash())

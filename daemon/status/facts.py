@@ -6,7 +6,7 @@ Nothing here asks a camera or the daemon, so that looking never disturbs a slot.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -28,6 +28,7 @@ from daemon.store.overview import (
 )
 from daemon.store.records import (
     BELIEVED,
+    READING_FAILED,
     SLIPPED,
     Coverage,
     GapCause,
@@ -118,6 +119,10 @@ class Facts:
     """None for a simulated clock, and where the kernel does not tell."""
     undated: int
     """Pairs taken under a wrong clock that wait for their slots."""
+    sensors: tuple[str, ...]
+    """The readings that the config names."""
+    readings_failed: Mapping[str, datetime]
+    """Of the readings without a value in the last row: when that began, where it is known."""
 
 
 def collect_facts(config: Config, state: Path, now_utc: datetime) -> Facts:
@@ -153,7 +158,15 @@ def collect_facts(config: Config, state: Path, now_utc: datetime) -> Facts:
             simulated_clock=simulated,
             clock_synchronised=None if simulated else clock_is_synchronised(),
             undated=overview.undated(),
+            sensors=tuple(section.name for section in config.reading),
+            readings_failed=_readings_failed(overview, last),
         )
+
+
+def _readings_failed(overview: Overview, last: MeasurementRecord | None) -> dict[str, datetime]:
+    names = [one.name for one in last.readings if one.value is None] if last else []
+    found = {name: overview.last_event_of(READING_FAILED, name) for name in names}
+    return {name: since_utc for name, since_utc in found.items() if since_utc is not None}
 
 
 def _daemon(overview: Overview, state: Path, now_utc: datetime) -> Daemon:

@@ -44,6 +44,7 @@ def judge(facts: Facts) -> list[Item]:
         _daemon(facts),
         _supervision(facts),
         _cameras(facts),
+        *_readings(facts),
         _calibration(facts),
         *judge_targets(facts),
         *_zero(facts.calibration),
@@ -161,6 +162,26 @@ def _temperatures(facts: Facts) -> str:
     cameras = (("main", facts.last.main_camera), ("sub", facts.last.sub_camera))
     known = [f"{n} {c.temperature_c:.1f} °C" for n, c in cameras if c.temperature_c is not None]
     return f"no loss in 30 days, {', '.join(known)}" if known else ""
+
+
+def _readings(facts: Facts) -> list[Item]:
+    """The sensors at the last row; none, no line."""
+    said = {one.name: one for one in facts.last.readings} if facts.last else {}
+    if facts.last is None or not (said or facts.sensors):
+        return []
+    texts, missing = [], []
+    for name, one in said.items():
+        if one.value is not None:
+            texts.append(f"{name} {one.value:g} {one.unit}")
+            continue
+        since_utc = facts.readings_failed.get(name)
+        since = f" since {utc_text(since_utc.replace(microsecond=0))}" if since_utc else ""
+        missing.append(f"{name} without a value{since}: {one.cause}")
+    unread = [name for name in facts.sensors if name not in said]
+    if unread:
+        missing.append(f"{', '.join(unread)} not read yet: dcam-ctl reload")
+    level = Level.WARNING if missing else Level.OK
+    return [Item("readings", level, "; ".join([*missing, *texts]))]
 
 
 def _calibration(facts: Facts) -> Item:

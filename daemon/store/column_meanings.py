@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from daemon.store.sensors import CAUSES
 from daemon.store.targets import target_of_column
 
 
@@ -82,11 +83,20 @@ MEANINGS: dict[str, Meaning] = {
     "closure_sigma_y_mm": Meaning("mm", "1 sigma of closure_y_mm"),
     "closure_cov_xy_mm2": Meaning("mm2", "covariance of closure_x_mm and closure_y_mm"),
     "targets": Meaning("", "JSON of the further targets; exported as columns of each"),
+    "readings": Meaning(
+        "",
+        "sensors' readings: JSON, name to [value, unit], or to [null, unit, cause]; exported as "
+        "columns of their own",
+    ),
     "digest": Meaning("", "checksum of the row; not exported"),
 }
 """By the column's name, in the order of the table."""
 
-DETAIL = Meaning("", "of a slot in a gap, what is known beyond its cause; only in exports")
+OF_EXPORTS = {
+    CAUSES: Meaning("", "why readings have no value: name and cause, joined by ;"),
+    "detail": Meaning("", "of a slot in a gap, what is known beyond its cause; only in exports"),
+}
+"""Columns that the database does not have."""
 
 ROLE = Meaning("", "fixed (does not move with the bridge) or measured (a further point of it)")
 """Of a further target; only in exports."""
@@ -94,8 +104,8 @@ ROLE = Meaning("", "fixed (does not move with the bridge) or measured (a further
 
 def of(column: str) -> Meaning:
     """What a column of the database, or of an export, holds."""
-    if column == "detail":
-        return DETAIL
+    if column in OF_EXPORTS:
+        return OF_EXPORTS[column]
     target = None if column in MEANINGS else target_of_column(column)
     if target is None:
         return MEANINGS[column]

@@ -25,7 +25,7 @@ from daemon.store.displacements import (
     displacement_of,
     finite,
 )
-from daemon.store.records import CalibrationRecord, CameraState, MeasurementRecord
+from daemon.store.records import CalibrationRecord, CameraState, MeasurementRecord, Reading
 from daemon.store.targets import join_reasons, split_reasons, targets_of, targets_text
 
 if TYPE_CHECKING:  # SQLAlchemy is loaded by who needs its rows
@@ -87,6 +87,7 @@ def measurement_columns(record: MeasurementRecord) -> dict[str, Any]:
         "version": record.version,
         **displacement_columns(measurement.closure, "closure_"),
         "targets": targets_text(measurement.targets),
+        "readings": _readings_column(record.readings),
     }
 
 
@@ -129,6 +130,7 @@ def measurement_record(values: Mapping[str, Any]) -> MeasurementRecord:
         recorded_late=bool(values["recorded_late"]),
         main_camera=_camera(values, "main_"),
         sub_camera=_camera(values, "sub_"),
+        readings=stored_readings(values["readings"]),
         **{name: values[name] for name in _AS_STORED},
     )
 
@@ -144,6 +146,29 @@ def stored_time(text: Any) -> datetime:
 
 def _time_or_none(text: str | None) -> datetime | None:
     return None if text is None else stored_time(text)
+
+
+def _readings_column(readings: tuple[Reading, ...]) -> str | None:
+    """JSON: name to [value, unit], or to [null, unit, cause]."""
+    if not readings:
+        return None
+    finite({one.name: one.value for one in readings if one.value is not None})
+    return _json(
+        {
+            one.name: [one.value, one.unit, *([one.cause] if one.value is None else [])]
+            for one in readings
+        }
+    )
+
+
+def stored_readings(text: str | None) -> tuple[Reading, ...]:
+    """The readings of a row's column."""
+    if text is None:
+        return ()
+    return tuple(
+        Reading(name, unit, value, *cause)
+        for name, (value, unit, *cause) in json.loads(text).items()
+    )
 
 
 def calibration_row(record: CalibrationRecord) -> CalibrationRow:

@@ -310,6 +310,15 @@ class Overview:
         kind, time_utc, detail = found[0]
         return str(kind), stored_time(time_utc), str(detail)
 
+    def last_event_of(self, kind: str, name: str) -> datetime | None:
+        """When the newest event of a kind was whose detail begins with a name and a colon."""
+        query = (
+            "SELECT time_utc FROM event WHERE kind = ? AND substr(detail, 1, ?) = ?"
+            " ORDER BY id DESC LIMIT 1"
+        )
+        found = value(self._connection, query, kind, len(name) + 1, f"{name}:")
+        return None if found is None else stored_time(found)
+
     def archive_size(self) -> tuple[int, int]:
         """Days with frames, and bytes of them, as last counted."""
         query = "SELECT count(*), coalesce(sum(bytes), 0) FROM frame_day WHERE bytes > 0"

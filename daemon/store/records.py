@@ -19,6 +19,9 @@ BELIEVED = ("", Reason.CALIBRATION_DRIFTING.value)
 SLIPPED = (Reason.BOARD_SLIPPED.value,)
 """And of those that show a board that is not where it was calibrated."""
 
+READING_FAILED, READING_BACK = "reading_failed", "reading_back"
+"""Kinds of events; the detail begins with the reading's name and a colon."""
+
 
 class GapCause(StrEnum):
     """Why slots have no row: a closed list."""
@@ -70,6 +73,17 @@ class CameraState:
 
 
 @dataclass(frozen=True, slots=True)
+class Reading:
+    """What a sensor said at a slot, or why it said nothing that could be stored."""
+
+    name: str
+    unit: str
+    value: float | None
+    cause: str = ""
+    """Why there is no value."""
+
+
+@dataclass(frozen=True, slots=True)
 class MeasurementRecord:
     """One slot's row: the measurement and everything it was made from."""
 
@@ -100,6 +114,13 @@ class MeasurementRecord:
     """The frames were found without a row after a restart, and measured then."""
     main_camera: CameraState = field(default_factory=CameraState)
     sub_camera: CameraState = field(default_factory=CameraState)
+    readings: tuple[Reading, ...] = ()
+    """In the order of the config; empty where there are no sensors."""
+
+    @property
+    def reading_values(self) -> dict[str, float]:
+        """The readings that have a value, by name."""
+        return {one.name: one.value for one in self.readings if one.value is not None}
 
 
 @dataclass(frozen=True, slots=True)

@@ -193,6 +193,8 @@ class MeasurementRow(Base):
     closure_cov_xy_mm2: Mapped[float | None]
     targets: Mapped[str | None]
     """JSON of the further targets, see `daemon.store.targets`; NULL without any."""
+    readings: Mapped[str | None]
+    """JSON: name to [value, unit], or to [null, unit, cause]; NULL where there are no sensors."""
 
 
 class UndatedRow(Base):

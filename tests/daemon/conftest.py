@@ -19,6 +19,7 @@ from core.site import (
 )
 from daemon.clock.machine import Machine
 from daemon.control.notify import Notifier
+from daemon.readings.sampler import Sampler
 from daemon.retention.guard import DiskGuard
 from daemon.retention.rules import Rules
 from daemon.schedule import Schedule
@@ -91,6 +92,7 @@ class Station:
         self.archive = FrameArchive(state)
         self.booted_s: dict[str, float] = {}
         self.synchronised: bool | None = None
+        self.readings = Sampler()
         self.context = self.pipeline("boot-1")
         self.source = ScriptedSource(self.clock)
         self.stop = threading.Event()
@@ -103,7 +105,9 @@ class Station:
         )
         disk = DiskGuard(self.store, self.archive, self.rules, self.clock)
         return SlotContext(
-            SITE, "hash", self.store, self.archive, self.clock, disk, machine=machine
+            *(SITE, "hash", self.store, self.archive, self.clock, disk),
+            readings=self.readings,
+            machine=machine,
         )
 
     def start(self, boot_id: str = "boot-1", circuit: Circuit | None = None) -> SlotRunner:

@@ -20,7 +20,13 @@ from daemon.ctl import cli
 from daemon.error_report import run
 from daemon.lock import sole_writer
 from daemon.store.database import Store, open_store
-from daemon.store.records import CalibrationRecord, CameraState, GapCause, MeasurementRecord
+from daemon.store.records import (
+    CalibrationRecord,
+    CameraState,
+    GapCause,
+    MeasurementRecord,
+    Reading,
+)
 from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
 from drivers.sim.settings import SimSettings
 from tests.laboratory import laboratory
@@ -148,7 +154,7 @@ class Site:
         minutes: int,
         measurement: Measurement = GOOD,
         frame: str | None = "frames/kept.png",
-        **more: CameraState,
+        **more: CameraState | tuple[Reading, ...],
     ) -> None:
         """Add a row a minute; without a frame where the disk had no room for it."""
         hash_ = load_config(self.config).config_hash()

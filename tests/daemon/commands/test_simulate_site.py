@@ -24,6 +24,10 @@ backend = "ptu"            # on the tripod
 port = "/dev/ttyUSB0"
 [alarm]
 urls = ["mailto://pier:secret@example.org"]
+[[reading]]
+name = "air"
+unit = "degC"
+file = "air"
 """
 )
 
@@ -36,7 +40,7 @@ def own(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_copy_differs_in_devices_clock_state_and_alarm_only(
+def test_the_copy_differs_in_devices_sensors_clock_state_and_alarm_only(
     ctl: Ctl, own: Path, tmp_path: Path
 ) -> None:
     ran = ctl("simulate", "site", "--config", own, "--output", tmp_path / "trial")
@@ -46,7 +50,7 @@ def test_the_copy_differs_in_devices_clock_state_and_alarm_only(
     for role in ("main", "sub"):
         expected["camera"][role]["backend"] = "simulated"
     expected["pan_tilt"]["backend"] = "simulated"
-    del expected["alarm"]["urls"]
+    del expected["alarm"]["urls"], expected["reading"]
     expected |= {"storage": {"directory": "state"}, "simulation": {"clock": "stepped"}}
     assert tomllib.loads(copy.read_text()) == expected
     assert "# surveyed by the county" in copy.read_text()

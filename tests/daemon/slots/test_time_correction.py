@@ -5,8 +5,10 @@ from datetime import timedelta
 
 import pytest
 
+from daemon.config.readings import ReadingSection
 from daemon.ctl import cli
 from daemon.error_report import run
+from daemon.readings.sampler import Probe, Sampler
 from tests.daemon.commands.conftest import CONFIG
 from tests.daemon.times import minute_of, slot
 
@@ -33,6 +35,42 @@ def ctl(station, tmp_path, capsys):
 def redate(ctl):
     """Run `dcam-ctl redate`."""
     return lambda *arguments: ctl("redate", *arguments)
+
+
+class Counting:
+    """A sensor that says how often it was asked."""
+
+    bus = "counting"
+    said = 0
+
+    def read(self, timeout_s: float) -> float:
+        self.said += 1
+        return float(self.said)
+
+    def stop(self) -> None:
+        pass
+
+
+def test_readings_go_with_their_pair(station, redate) -> None:
+    """Row and frames, undated and dated again."""
+    section = ReadingSection.model_validate({"name": "air", "unit": "degC", "file": "/x"})
+    station.readings = Sampler([Probe(section, Counting())], patient=True)
+    station.run(2)
+    station.clock.advance(7_230)
+    station.clock.set_utc(station.clock.now_utc() - WRONG)
+    station.run(3, boot_id="boot-2")
+    assert [record.reading_values for _, record in station.store.undated()] == [
+        *({"air": 3.0}, {"air": 4.0}, {"air": 5.0})
+    ]
+    code, _, _ = redate("--boot", "boot-2", "--booted", "2026-03-01T14:01:30Z")
+    assert code == 0
+    rows = {minute_of(row.slot_utc): row.reading_values for row in station.store.measurements()}
+    assert rows == {0: {"air": 1.0}, 1: {"air": 2.0}} | {
+        120 + k: {"air": 1.0 + k} for k in (2, 3, 4)
+    }
+    for minute in (122, 123, 124):
+        assert station.archive.load(slot(minute)).readings == rows[minute]
+    station.readings.close()
 
 
 @pytest.fixture

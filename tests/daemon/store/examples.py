@@ -24,11 +24,17 @@ from daemon.store.records import (
     DatumRecord,
     DatumStep,
     MeasurementRecord,
+    Reading,
 )
 from drivers.protocols import CapturedFrame, CapturedPair
 
 START = datetime(2026, 3, 1, tzinfo=UTC)
 PERIOD_S = 60
+READINGS = (
+    Reading("steel-2", "degC", -3.25),
+    Reading("air", "degC", None, "no answer for 5 s"),
+)
+"""In no order of their names."""
 
 
 def slot(number: int, start: datetime = START) -> datetime:
@@ -115,6 +121,7 @@ def full_record(slot_utc: datetime, calibration_id: int | None = None) -> Measur
         recorded_late=True,
         main_camera=CameraState(10_000.5, 3.0, 41.5),
         sub_camera=CameraState(800.25, 0.0, 39.0),
+        readings=READINGS,
     )
 
 

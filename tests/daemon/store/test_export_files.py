@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import h5netcdf
@@ -13,8 +16,10 @@ import pytest
 from daemon.reports.files import write_parquet
 from daemon.reports.netcdf import write_netcdf
 from daemon.reports.slot_table import COLUMNS, SlotTable, kind_of_column, slot_table
+from daemon.reports.table import write_slots
 from daemon.store.database import ALWAYS, NEVER, open_store
-from daemon.store.records import GapCause
+from daemon.store.records import GapCause, Reading
+from daemon.store.sensors import sensors_within
 from tests.daemon.store.examples import START, calibration, full_record, record, slot
 
 
@@ -92,7 +97,7 @@ def test_every_netcdf_variable_says_what_it_is_and_has_its_cf_unit(
     write_netcdf(slots, tmp_path / "a.nc", "pier-3")
     by_ending = {
         "mm": "mm", "mm2": "mm2", "rad": "rad", "s": "s", "us": "us", "db": "dB", "c": "degC",
-        "px": "1", "dn": "1",
+        "px": "1", "dn": "1", "air": "degC", "steel-2": "degC",
     }  # fmt: skip
     with h5netcdf.File(tmp_path / "a.nc") as file:
         for name in slots.columns:
@@ -114,3 +119,43 @@ def test_an_empty_record_is_an_empty_table(tmp_path: Path) -> None:
     assert write_parquet(empty, tmp_path / "a.parquet") == 0
     assert write_netcdf(empty, tmp_path / "a.nc", "pier-3") == 0
     assert pq.read_table(tmp_path / "a.parquet").column_names == list(COLUMNS)
+
+
+def test_readings_are_columns_with_their_units(tmp_path: Path) -> None:
+    """In their order; of a sensor whose unit was changed the older part stands apart."""
+    given = [
+        (Reading("air", "degF", 70.25),),
+        (Reading("steel-2", "degC", None, "outside limits (85 degC)"), Reading("air", "degC", 2.5)),
+        (Reading("steel-2", "degC", 7.0), Reading("air", "degC", None, "no answer for 5 s")),
+        (),
+    ]
+    with open_store(tmp_path / "state") as store:
+        for number, readings in enumerate(given):
+            store.add_measurement(replace(record(slot(number)), readings=readings))
+        assert sensors_within(store.path, slot(1), slot(2))[0].column == "reading_steel-2"
+
+        def table() -> SlotTable:
+            return slot_table(store, ALWAYS, NEVER, lambda _done, _total: None)
+
+        write_parquet(table(), tmp_path / "a.parquet")
+        write_netcdf(table(), tmp_path / "a.nc", "pier-3")
+        text = io.StringIO()
+        write_slots(table(), text)
+    columns = {
+        "reading_air_in_degF": [70.25, None, None, None],
+        "reading_steel-2": [None, None, 7.0, None],
+        "reading_air": [None, 2.5, None, None],
+        "readings_missing": [
+            *(None, "steel-2: outside limits (85 degC)", "air: no answer for 5 s", None)
+        ],
+    }
+    found = pq.read_table(tmp_path / "a.parquet").to_pydict()
+    assert {name: found[name] for name in columns} == columns
+    assert list(found)[-5:] == [*columns, "detail"]
+    (head, *lines) = csv.reader(text.getvalue().splitlines())
+    at = head.index("reading_air")
+    assert [line[at] for line in lines] == ["", "2.5", "", ""]
+    with h5netcdf.File(tmp_path / "a.nc") as file:
+        assert [file[name].attrs["units"] for name in list(columns)[:3]] == ["degF", "degC", "degC"]
+        assert file["reading_steel-2"].attrs["long_name"] == "reading steel-2"
+        assert file["reading_steel-2"][...].tolist()[2] == 7.0

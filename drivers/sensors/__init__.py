@@ -1,0 +1,1 @@
+"""Sensors whose readings stand beside a measurement: files, commands, Modbus."""
