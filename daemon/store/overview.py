@@ -276,7 +276,8 @@ class Overview:
             " sum(measured AND there), max(CASE WHEN there THEN slot_utc END) FROM"
             " (SELECT slot_utc, targets, fullkey, x_mm IS NOT NULL AS measured,"
             " json_extract(targets, fullkey || '.x_mm') IS NOT NULL AS there"
-            f" FROM measurement, json_each(targets) WHERE {within}) AS found GROUP BY 1"
+            " FROM measurement, json_each(CASE WHEN json_valid(targets) THEN targets ELSE '[]' END)"
+            f" WHERE {within}) AS found GROUP BY 1"
         )
         counts = {
             name: (int(rows), int(rows_with_value), last)

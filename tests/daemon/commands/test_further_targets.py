@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import json
+import sqlite3
 import sys
+from contextlib import closing
 from dataclasses import replace
 from datetime import timedelta
 from typing import Any
@@ -184,6 +186,18 @@ def test_an_export_has_each_target(site: Site) -> None:
     rows = list(csv.DictReader(io.StringIO(site.ctl("export").out)))
     assert rows[0]["abutment_x_mm"] == ""
     assert (rows[-1]["abutment_x_mm"], rows[-1]["span-2_raw_y_mm"]) == ("0.3", "1.0")
+
+
+def test_damage_to_what_a_row_says_of_targets_is_named(site: Site) -> None:
+    """Where the row is shown; what counts rows goes on without it."""
+    site.measure(3, BOTH)
+    with closing(sqlite3.connect(site.state / "dcam.db")) as connection:
+        connection.execute("UPDATE measurement SET targets = '[{\"na' WHERE id = 12")
+        connection.commit()
+    assert json.loads(site.status().out)["targets"][0]["rows_24h"] == 2
+    ran = site.ctl("export")
+    assert ran.code == 5
+    assert "slot_utc 2026-03-01T00:11:00Z" in ran.err
 
 
 def test_a_site_without_further_targets_says_nothing_of_any(site: Site) -> None:
