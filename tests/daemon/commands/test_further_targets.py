@@ -162,6 +162,7 @@ def test_an_alarm_is_raised_for_a_lost_target(site: Site, tmp_path: Any) -> None
 
 
 def test_prometheus_is_given_each_target_by_its_name(site: Site) -> None:
+    site.measure(2, replace(DARK, targets=(FIXED, MEASURED)))  # says nothing of the share
     site.measure(3, BOTH)
     site.measure(1, lost(FIXED, hidden(MEASURED)))
     with sole_writer(site.state):
