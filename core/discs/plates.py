@@ -134,9 +134,11 @@ def _look_and_locate(
 
 
 def _looks(image: GreyImage, wanted: Sequence[WantedPlate]) -> Iterator[list[int]]:
-    """By how much to shrink the image: first what finds each target at first, then all else."""
+    """By how much to shrink the image: first the most for each target, then all else in turns."""
+    turns = [list(looks(image, _radii_px(plate))) for plate in wanted]
+    most = [[[max(steps[0])] if steps else [], *steps] for steps in turns]
     done: set[int] = set()
-    for steps in itertools.zip_longest(*(looks(image, _radii_px(plate)) for plate in wanted)):
+    for steps in itertools.zip_longest(*most):
         fresh = {shrink for shrinks in steps if shrinks for shrink in shrinks} - done
         done |= fresh
         if fresh:
