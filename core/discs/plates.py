@@ -103,7 +103,7 @@ def find_plates_near(
             place = _place_near(blobs, free, plate, within)
             chosen.append(place)
             if place is not None:
-                free[list(place.spots)] = False
+                free &= ~_at(blobs, place)
         return chosen
 
     return _look_and_locate(image, wanted, choose)
@@ -212,6 +212,13 @@ def _name(
     )
 
 
+def _at(blobs: Blobs, place: _Place) -> BoolArray:
+    """Which spots (n,) are a place's: also those of its discs at another size of the image."""
+    own = sorted(place.spots)
+    away = np.hypot(*np.moveaxis(blobs.points_px[:, None] - blobs.points_px[own], -1, 0))
+    return np.asarray((away < blobs.radius_px[own]).any(axis=1))
+
+
 def _places(blobs: Blobs, plate: WantedPlate, plates: int) -> list[_Place]:
     """Everywhere that spots are laid out as a target's discs, each spot used once."""
     expected = expectation(plate.px_per_mm)
@@ -222,13 +229,12 @@ def _places(blobs: Blobs, plate: WantedPlate, plates: int) -> list[_Place]:
         if place is None:
             break
         rough.append(place)
-        free[list(place.spots)] = False
+        free &= ~_at(blobs, place)
     # Named once more without the spots of the other places, which may have been rivals.
-    taken = [spot for place in rough for spot in place.spots]
     sure = []
     for place in rough:
-        alone = np.ones(len(blobs.points_px), dtype=bool)
-        alone[[spot for spot in taken if spot not in place.spots]] = False
+        others = [_at(blobs, other) for other in rough if other is not place]
+        alone = ~np.any(others, axis=0) if others else np.ones(len(free), dtype=bool)
         again = _name(blobs, alone, plate, expected) if len(rough) > 1 else place
         if again is not None and again.assignment.unambiguous:
             sure.append(again)
