@@ -7,6 +7,7 @@ import subprocess
 import sys
 from contextlib import closing
 from datetime import timedelta
+from pathlib import Path
 
 import pytest
 
@@ -14,7 +15,7 @@ from daemon.errors import DatabaseDamagedError
 from daemon.store.database import open_store
 from daemon.store.records import GapCause
 from daemon.store.salvage.damage_note import databases_set_aside
-from tests.daemon.slots.test_dcamd import MARCH, REAL_TIME, ROOT, Site, unaccounted
+from tests.daemon.slots.test_dcamd import MARCH, REAL_TIME, ROOT, Site, state_after, unaccounted
 from tests.daemon.store.examples import calibration
 from tests.waiting import PATIENCE_S
 
@@ -32,6 +33,16 @@ def site(tmp_path):
     with closing(Site(tmp_path)) as site:
         site.configure()
         yield site
+
+
+@pytest.fixture(scope="module")
+def after_four_slots(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return state_after(tmp_path_factory.mktemp("four"), 4)
+
+
+@pytest.fixture(scope="module")
+def after_a_slot_in_real_time(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return state_after(tmp_path_factory.mktemp("real"), 1, REAL_TIME)
 
 
 def change(site: Site, *statements: str) -> None:
@@ -73,8 +84,10 @@ def test_lost_rows_are_measured_again_or_become_a_gap(site: Site) -> None:
     assert "database_damaged" not in again.stderr
 
 
-def test_everything_lost_but_the_frames_is_measured_again(site: Site) -> None:
-    assert site.run("--max-slots", "4").returncode == 0
+def test_everything_lost_but_the_frames_is_measured_again(
+    site: Site, after_four_slots: Path
+) -> None:
+    shutil.copytree(after_four_slots, site.state)
     (site.state / "dcam.db").write_bytes(b"")
     assert site.run("--max-slots", "1").returncode == 0
     with site.store() as store:
@@ -83,9 +96,11 @@ def test_everything_lost_but_the_frames_is_measured_again(site: Site) -> None:
         assert unaccounted(store) == 0
 
 
-def test_damage_met_while_it_runs_ends_dcamd_and_the_next_start_saves_the_rest(site: Site) -> None:
+def test_damage_met_while_it_runs_ends_dcamd_and_the_next_start_saves_the_rest(
+    site: Site, after_a_slot_in_real_time: Path
+) -> None:
     site.configure(REAL_TIME)
-    assert site.run("--max-slots", "1").returncode == 0
+    shutil.copytree(after_a_slot_in_real_time, site.state)
     with site.store() as store:
         store.add_calibration(calibration(), activate=True)
     process = site.start()
@@ -112,10 +127,12 @@ def test_damage_met_while_it_runs_ends_dcamd_and_the_next_start_saves_the_rest(s
 
 
 @pytest.mark.parametrize("how", ["removed", "with its log", "renamed", "replaced"])
-def test_a_database_that_loses_its_name_while_it_is_open_loses_no_row(site: Site, how: str) -> None:
+def test_a_database_that_loses_its_name_while_it_is_open_loses_no_row(
+    site: Site, after_a_slot_in_real_time: Path, how: str
+) -> None:
     """SQLite goes on writing into the removed file; what was acknowledged there comes back."""
     site.configure(REAL_TIME)
-    assert site.run("--max-slots", "1").returncode == 0
+    shutil.copytree(after_a_slot_in_real_time, site.state)
     process = site.start()
     site.notified(r"^STATUS=slot .* done")
     database = site.state / "dcam.db"
@@ -147,8 +164,10 @@ def test_a_database_that_loses_its_name_while_it_is_open_loses_no_row(site: Site
 
 
 @pytest.mark.parametrize("left", ["frames", "log"])
-def test_a_missing_database_is_damage_where_it_has_left_traces(site: Site, left: str) -> None:
-    assert site.run("--max-slots", "4").returncode == 0
+def test_a_missing_database_is_damage_where_it_has_left_traces(
+    site: Site, after_four_slots: Path, left: str
+) -> None:
+    shutil.copytree(after_four_slots, site.state)
     if left == "log":
         with site.store() as store:
             store.add_event(MARCH, "happened", "known by the log alone")
@@ -175,16 +194,20 @@ def test_a_missing_database_is_damage_where_it_has_left_traces(site: Site, left:
         assert unaccounted(store) == 0
 
 
-def test_a_command_makes_no_new_database_beside_the_traces_of_a_lost_one(site: Site) -> None:
-    assert site.run("--max-slots", "2").returncode == 0
+def test_a_command_makes_no_new_database_beside_the_traces_of_a_lost_one(
+    site: Site, after_four_slots: Path
+) -> None:
+    shutil.copytree(after_four_slots, site.state)
     (site.state / "dcam.db").unlink()
     with pytest.raises(DatabaseDamagedError, match="missing beside its frames: restart dcamd"):
         open_store(site.state)
     assert not (site.state / "dcam.db").exists()
 
 
-def test_a_disk_without_room_for_the_saved_rows_is_reported(site: Site) -> None:
-    assert site.run("--max-slots", "4").returncode == 0
+def test_a_disk_without_room_for_the_saved_rows_is_reported(
+    site: Site, after_four_slots: Path
+) -> None:
+    shutil.copytree(after_four_slots, site.state)
     change(site, "UPDATE measurement SET discs_found = 99 WHERE id = 2")
     shutil.copytree(site.state, site.state.parent / "damaged")
     result = site.run(
