@@ -26,6 +26,8 @@ _LENS_SIGMAS = 4.0
 _LENS_SHARE = 0.005
 """Of the focal length or of the main camera's scale. Chosen: lenses of one kind differ by a per
 cent, one lens calibrated again by a fifth of that, and warmth changes less."""
+_SAME_PX = 1e-3
+"""Of all discs: far below their noise, far above the rounding of one image found twice."""
 _CENTRE_PX = 5.0
 """Of the principal point. Chosen: a lens screwed in again comes back to some ten pixels."""
 
@@ -93,6 +95,20 @@ def candidate(
 ) -> Candidate:
     """One answer from one step."""
     return Candidate(step, datum_by(step, base)[0], words, tuple(doubts))
+
+
+def by_same_reference(earlier: Known, new: NewReference) -> Candidate | None:
+    """Nothing lies between two calibrations on one reference; None where it is another image."""
+    old_px = earlier.active.calibration.calibrated.reference_discs_px
+    new_px = new.calibration.calibrated.reference_discs_px
+    if old_px.shape != new_px.shape or not np.nanmax(np.abs(old_px - new_px)) < _SAME_PX:
+        return None
+    targets = () if earlier.active.datum is None else earlier.active.datum.targets
+    step = DatumStep(
+        DatumMethod.SAME_REFERENCE, earlier.id, NOTHING, dict.fromkeys(targets, NOTHING)
+    )
+    words = f"by the reference, which is that of calibration {earlier.id}"
+    return candidate(step, earlier.active.datum, words)
 
 
 def by_old_calibration(

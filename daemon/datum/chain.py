@@ -12,6 +12,8 @@ from core.arrays import FloatArray
 from core.results import Displacement
 from daemon.store.records import DatumMethod, DatumRecord, DatumStep
 
+Targets = Mapping[str, Displacement]
+
 NOTHING = Displacement(np.zeros(2), np.zeros((2, 2)))
 """The datum of the calibration that a record begins with."""
 _LEAST_MM2 = 1e-12
@@ -38,14 +40,15 @@ def origin(created_utc: datetime, reference_utc: datetime | None) -> DatumRecord
 
 def datum_by(step: DatumStep, base: DatumRecord | None) -> tuple[Displacement, Targets]:
     """Where one step leads to, for the main target and for further ones."""
-    of_base = {} if base is None else base.targets
     main = NOTHING if base is None else base.offset
     assert step.offset is not None  # noqa: S101 - steps of further targets alone come with others
-    targets = {name: added(of_base.get(name, NOTHING), own) for name, own in step.targets.items()}
-    return added(main, step.offset), targets
+    return added(main, step.offset), targets_by(step, base)
 
 
-Targets = Mapping[str, Displacement]
+def targets_by(step: DatumStep, base: DatumRecord | None) -> Targets:
+    """Where one step leads to, for the further targets that it names."""
+    before = {} if base is None else base.targets
+    return {name: added(before.get(name, NOTHING), own) for name, own in step.targets.items()}
 
 
 def added(one: Displacement, other: Displacement) -> Displacement:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 
+from core.errors import CalibrationError
 from core.results import Flag
 from core.site import Site
 from daemon.datum.candidates import (
@@ -19,11 +20,12 @@ from daemon.datum.candidates import (
     by_fixed_targets,
     by_old_calibration,
     by_rows,
+    by_same_reference,
     contradicted,
     lost,
     measured_targets,
 )
-from daemon.datum.chain import datum_by, origin
+from daemon.datum.chain import datum_by, origin, targets_by
 from daemon.slots.measuring import (
     ActiveCalibration,
     PairFiles,
@@ -36,7 +38,7 @@ from daemon.store.columns import read_columns
 from daemon.store.convert import measurement_record
 from daemon.store.database import Store
 from daemon.store.datum_fields import offset_text
-from daemon.store.records import CalibrationRecord, DatumMethod, DatumRecord
+from daemon.store.records import CalibrationRecord, DatumMethod, DatumRecord, DatumStep
 from drivers.errors import DriverError
 from drivers.frameset import FrameSetRow, read_frame_set
 
@@ -74,6 +76,9 @@ def find_zero(
     if record is None or record.id is None:
         return Zero(origin(created_utc, new.slot_utc), ())
     datums = {int(link.calibration_id or 0): link for link in store.datum_links()}
+    same = _same_reference(store, datums, new)
+    if same is not None:
+        return _zero(same, [], [], datums, new, created_utc)
     active = active_calibration(store)
     known = None if active is None else Known(active, reference_time(record, active))
     rows = list(_stored_rows(store, new.slot_utc))
@@ -85,6 +90,26 @@ def find_zero(
     if chosen is None:
         chosen = lost(record.id, rows[-1] if rows else None, site, datums)
     return _zero(chosen, candidates, notes, datums, new, created_utc)
+
+
+def _same_reference(
+    store: Store, datums: Mapping[int, DatumRecord], new: NewReference
+) -> Candidate | None:
+    """The calibration that was made on the same reference, if there is one."""
+    for number, link in sorted(datums.items()):
+        if link.reference_utc != new.slot_utc:
+            continue
+        record = store.calibration(number)
+        try:
+            if record is None:
+                continue
+            earlier = Known(ActiveCalibration(number, record.calibration, link), new.slot_utc)
+        except CalibrationError:  # of a version that this one cannot read
+            continue
+        same = by_same_reference(earlier, new)
+        if same is not None:
+            return same
+    return None
 
 
 def _candidates(
@@ -180,6 +205,18 @@ def _files(directory: Path, row: FrameSetRow) -> PairFiles:
     return PairFiles(main, sub, moment=row_moment(row))
 
 
+def _of_other_targets(chosen: Candidate, candidates: Sequence[Candidate]) -> list[DatumStep]:
+    """Where further targets that the chosen answer leaves out were, by the next best one."""
+    known, steps = set(chosen.step.targets), []
+    believed = [one for one in candidates if not one.doubts and one is not chosen]
+    for one in sorted(believed, key=lambda one: float(np.hypot(*one.sigma_mm))):
+        more = {name: seen for name, seen in one.step.targets.items() if name not in known}
+        if more:
+            steps.append(replace(one.step, offset=None, targets=more))
+            known |= set(more)
+    return steps
+
+
 def _zero(
     chosen: Candidate,
     candidates: Sequence[Candidate],
@@ -189,11 +226,14 @@ def _zero(
     created_utc: datetime,
 ) -> Zero:
     """The link of the chosen answer, and what is said of it and of the others."""
+    further = _of_other_targets(chosen, candidates)
     offset, targets = datum_by(chosen.step, datums.get(chosen.step.from_id or 0))
+    for step in further:
+        targets = {**targets, **targets_by(step, datums.get(step.from_id or 0))}
     link = DatumRecord(
         method=chosen.step.method,
         offset=offset,
-        steps=(chosen.step,),
+        steps=(chosen.step, *further),
         created_utc=created_utc,
         reference_utc=new.slot_utc,
         targets=targets,

@@ -189,6 +189,8 @@ class DatumMethod(StrEnum):
 
     ORIGIN = "origin"
     """No calibration before it: its reference is the zero."""
+    SAME_REFERENCE = "same_reference"
+    """The reference is another calibration's, too: the same images, adjusted again."""
     OLD_CALIBRATION = "old_calibration"
     """The calibration before measured the new reference."""
     FIXED_TARGETS = "fixed_targets"

@@ -25,6 +25,7 @@ class Chain:
     def __init__(self, bench: Path, calibrated: Path, directory: Path, ctl: Ctl) -> None:
         self._ctl, self._config = ctl, bench / "dcam.toml"
         self.state = Path(shutil.copytree(calibrated, directory / "state"))
+        self.first = bench / "set"
         self.later = Path(shutil.copytree(bench / "set", directory / "later"))
         edit_table(self.later, lambda lines: [lines[0], *map(_later, lines[1:])])
 
@@ -78,6 +79,20 @@ def test_an_untouched_board_carries_the_zero_over(chain: Chain) -> None:
     item = next(i for i in json.loads(status(chain).out)["items"] if i["name"] == "zero")
     assert item["level"] == "ok"
     assert "old_calibration" in item["text"]
+
+
+def test_the_same_images_calibrated_again_have_the_same_zero(chain: Chain) -> None:
+    """Also behind another one: the offset of the first calibration on them is known exactly."""
+    chain.calibrate("--board-untouched")
+    ran = chain.ctl("calibrate", "--from", chain.later, "--accept", "--method", "paper")
+    assert ran.code == 0, ran.err
+    assert "which is that of calibration 2" in ran.out
+    _, second, third = chain.links()
+    assert third["method"] == "same_reference"
+    assert (third["x_mm"], third["sigma_y_mm"]) == (second["x_mm"], second["sigma_y_mm"])
+    ran = chain.ctl("calibrate", "--from", chain.first, "--accept")
+    assert ran.code == 0, ran.err
+    assert (chain.links()[-1]["y_mm"], chain.links()[-1]["sigma_y_mm"]) == (0.0, 0.0)
 
 
 def test_a_survey_moves_rows_and_is_shown_with_its_source(chain: Chain, tmp_path: Path) -> None:
