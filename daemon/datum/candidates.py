@@ -26,8 +26,9 @@ _LENS_SIGMAS = 4.0
 _LENS_SHARE = 0.005
 """Of the focal length or of the main camera's scale. Chosen: lenses of one kind differ by a per
 cent, one lens calibrated again by a fifth of that, and warmth changes less."""
-_SAME_PX = 1e-3
-"""Of all discs: far below their noise, far above the rounding of one image found twice."""
+_SAME_PX = 0.1
+"""Of all discs, of references taken at one time: adjustments move the discs of one image by some
+hundredths, and only simulated time comes twice."""
 _CENTRE_PX = 5.0
 """Of the principal point. Chosen: a lens screwed in again comes back to some ten pixels."""
 
