@@ -320,11 +320,15 @@ def readings_of(cells: Mapping[str, str]) -> dict[str, float]:
     return {name: value for name, value in found.items() if value is not None}
 
 
-def format_row(row: FrameSetRow) -> str:
-    """Write one line of `frames.csv`, without its line end: `COLUMNS`, then the extra values."""
+def format_row(row: FrameSetRow, extra_columns: Iterable[str] | None = None) -> str:
+    """Write one line of `frames.csv`, without its line end: `COLUMNS`, then the extra values.
+
+    These are all that the row has, or those of the columns given, empty where it has none.
+    """
     cells = [format_slot(row.slot_utc), row.role, row.main or "", row.sub or ""]
     cells += ["" if angle is None else repr(angle) for angle in (row.pan_deg, row.tilt_deg)]
-    return _csv_line([*cells, *row.extra.values()])
+    names = row.extra if extra_columns is None else extra_columns
+    return _csv_line([*cells, *(row.extra.get(name, "") for name in names)])
 
 
 def format_header(extra_columns: Iterable[str] = ()) -> str:
@@ -341,10 +345,11 @@ def _csv_line(cells: Iterable[str]) -> str:
 def write_table(directory: Path, rows: Iterable[FrameSetRow]) -> None:
     """Write a whole `frames.csv`, replacing any old one in a single step, durably.
 
-    All rows must have the same extra columns.
+    An extra column that a row does not have is empty in its line.
     """
     rows = list(rows)
-    lines = [format_header(rows[0].extra if rows else ()), *map(format_row, rows)]
+    extra = list(dict.fromkeys(name for row in rows for name in row.extra))
+    lines = [format_header(extra), *(format_row(row, extra) for row in rows)]
     temporary = directory / f".{TABLE}.tmp"
     try:
         with temporary.open("w", encoding="utf-8", newline="") as file:

@@ -25,6 +25,7 @@ from daemon.durable import make_directory_durable, write_durable
 from daemon.slots.exposure import ExposureLoop, settle
 from drivers.errors import DriverError
 from drivers.frameset import (
+    TEMPERATURES,
     FrameRole,
     FrameSet,
     FrameSetRow,
@@ -32,7 +33,7 @@ from drivers.frameset import (
     read_frame_set,
     write_table,
 )
-from drivers.protocols import CapturedFrame, Clock, FramePairSource, PanTiltHead, Role
+from drivers.protocols import CapturedFrame, CapturedPair, Clock, FramePairSource, PanTiltHead, Role
 
 FOLDER = "calibrations"
 """Below the state directory; one directory a session, named by its time in UTC."""
@@ -290,8 +291,20 @@ def _keep(
         sub=write_frame(directory, slot_utc, "sub", pair.sub),
         pan_deg=None if reached is None else round(reached[0], 4),
         tilt_deg=None if reached is None else round(reached[1], 4),
-        extra=MappingProxyType({"step": "" if step is None else str(step)}),
+        extra=MappingProxyType({"step": "" if step is None else str(step), **_temperatures(pair)}),
     )
+
+
+def _temperatures(pair: CapturedPair) -> dict[str, str]:
+    """What the cameras say of their own temperatures: columns of the pair's row."""
+    said: dict[Role, float | None] = {
+        "main": pair.main.temperature_c,
+        "sub": pair.sub.temperature_c,
+    }
+    return {
+        TEMPERATURES[role]: "" if celsius is None else repr(celsius)
+        for role, celsius in said.items()
+    }
 
 
 def _copy_lens_views(session: Session, lens_views: FrameSet) -> None:

@@ -139,6 +139,19 @@ def test_a_reading_that_is_no_number_is_named(tmp_path: Path, column: str) -> No
         read_frame_set(_table(tmp_path, f"{ROWS[3]},1,2", header=f"{HEADER},{column},{column}"))
 
 
+def test_rows_with_other_columns_make_one_table(tmp_path: Path) -> None:
+    """As when a calibration goes on that an older version began."""
+    step, warm = {"step": "1"}, {"temperature_main_c": "40.5", "step": "2"}
+    rows = [
+        FrameSetRow(datetime(2026, 3, day, tzinfo=UTC), "measure", "m.png", "s.png", extra=extra)
+        for day, extra in ((1, step), (2, warm), (3, {}))
+    ]
+    write_table(tmp_path, rows)
+    read = read_frame_set(tmp_path).rows
+    assert [row.extra["step"] for row in read] == ["1", "2", ""]
+    assert [row.main_temperature_c for row in read] == [None, 40.5, None]
+
+
 def test_table_round_trip(tmp_path: Path) -> None:
     """What is written is read back, extra columns, commas and all."""
     rows = (

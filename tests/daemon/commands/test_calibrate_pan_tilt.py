@@ -323,6 +323,9 @@ def test_a_position_with_a_covered_target_is_taken_again(config: Path, tmp_path:
     steps = [int(row.extra["step"]) for row in session.rows if row.role == "rig"]
     assert len(steps) == VIEWS + 1
     assert set(steps) == set(range(VIEWS))
+    kept = read_frame_set(session.directory).rows_of("reference", "rig")
+    assert {row.main_temperature_c is None for row in kept} == {False}
+    assert {row.sub_temperature_c is None for row in kept} == {False}
 
 
 # ------------------------------------------------------------------------------- going on
