@@ -39,6 +39,7 @@ def test_a_site_that_runs_is_ok(site: Site) -> None:
         "method": "rigid",
         "passed": True,
         "fits_config": True,
+        "datum": None,
     }
 
 
