@@ -24,6 +24,7 @@ COMMANDS = {
     "target": "Printable PDF of both targets at true scale.",
     "calibrate": "Calibrate from a frame set or with the pan-tilt head.",
     "datum": "The record's one zero, from calibration to calibration.",
+    "stability": "How far the rig moves by itself, as its record shows, for [stability].",
     "preview": "Both cameras live, for aiming and focusing.",
     "capture": "Take and measure one pair now, beside dcamd too, and print it.",
     "reload": "Let the running dcamd read its config again.",

@@ -25,7 +25,7 @@ _DAY_S = 86_400.0
 _SETTLED_S = 6 * 3600.0
 """Time in which temperatures that no camera tells, and the air's gradient, may have left what they
 were at the calibration. Chosen: a quarter of the daily wave; steel lags the air by hours."""
-_DN_DT_PER_K = 9.3e-7
+DN_DT_PER_K = 9.3e-7
 """Of air at visible light, 15 degrees C and 1013 hPa, with its sign changed (Edlen's equation:
 n - 1 = 2.77e-4, falling with 1/T)."""
 _HORIZONTAL_SHARE = 0.3
@@ -95,7 +95,7 @@ def stability_terms(
     slide_px = budget.board_expansion_per_k * kelvin * half_board_mm * scale_px_per_mm
     lens_px, lens_scale = budget.main_px_per_k * kelvin, budget.main_scale_per_k * kelvin
     metres = 1e-3 * site.main_target.distance_mm
-    air_mm = 1e3 * 0.5 * _DN_DT_PER_K * budget.air_gradient_k_per_m * metres**2 * settled
+    air_mm = 1e3 * 0.5 * DN_DT_PER_K * budget.air_gradient_k_per_m * metres**2 * settled
     air_px2 = (air_mm * scale_px_per_mm) ** 2
     zero = np.zeros(STATE)
     return (
