@@ -33,6 +33,7 @@ from core.rig.calibrated_site import CalibratedSite
 from core.rig.compensation import AFFINE_LIMIT_PX, affine_error_px
 from core.rig.paper import PaperModel
 from core.rig.rigid import Rig
+from core.rig.stability import main_scale, season_sentence
 from core.site import Site
 
 _FEW_LENS_VIEWS = 10
@@ -93,6 +94,8 @@ def write_report(
             f"validated on {len(held_out)} held-out positions: {_rms(held_out):.4f} mm rms, "
             f"{float(np.hypot(*held_out.T).max()):.4f} mm at most"
         )
+    typical_mm = float(np.median([d.sigma_mm for d in drift]))
+    lines.append(season_sentence(options.site, main_scale(calibrated.B), typical_mm))
     lines += survey.lines + _warnings(fit, figures)
     return CalibrationReport(not problems, tuple(lines), figures)
 

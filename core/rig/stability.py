@@ -8,6 +8,7 @@ reference; docs/method.md has the figures and their sources.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,13 +16,13 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.rig.calibrated_target import CalibratedTarget
-from core.site import Site
+from core.site import Site, TargetRole
 
 STATE = 6
 """Shift of the main image (2, px), its roll (rad), relative change of scale, and the air's shift
 at the main target (2, px)."""
-_DAY_S = 86_400.0
-"""A day, s."""
+_DAY_S, _MONTH_S = 86_400.0, 30 * 86_400.0
+"""A day, and 30 of them, s."""
 _SETTLED_S = 6 * 3600.0
 """Time in which temperatures that no camera tells, and the air's gradient, may have left what they
 were at the calibration. Chosen: a quarter of the daily wave; steel lags the air by hours."""
@@ -59,6 +60,34 @@ class Term:
     """In words, as the end of "... come from"."""
     covariance: FloatArray
     """(6, 6) of the state."""
+    advice: str
+    """What makes it smaller."""
+
+    def sigma_mm(self, scale_px_per_mm: float) -> float:
+        """1 sigma of the main target's displacement, of the larger axis."""
+        variance = np.diag(self.covariance)
+        return float(np.sqrt((variance[:2] + variance[4:]).max())) / scale_px_per_mm
+
+
+_STIFFER = "bolt a stiffer plate, or hang a fixed target"
+_BOARD = "glue the board to a plate of glass or steel, or hang a fixed target"
+_LENS = "shade the main camera, or hang a fixed target"
+_AIR = "measure at night, or hang a fixed target"
+
+
+def budget_sentence(terms: Sequence[Term], scale_px_per_mm: float, image_mm: float) -> str | None:
+    """Name the largest cause of a row's sigma; None where the pixels are.
+
+    image_mm is 1 sigma by pixels and calibration. Said of rows that no fixed target corrects.
+    """
+    shares = [(term.sigma_mm(scale_px_per_mm), term) for term in terms]
+    whole_mm = float(np.hypot(image_mm, np.sqrt(sum(sigma**2 for sigma, _ in shares))))
+    if not shares or max(shares, key=lambda share: share[0])[0] <= image_mm:
+        return None
+    largest_mm, term = max(shares, key=lambda share: share[0])
+    return (
+        f"{largest_mm:.2g} mm of {whole_mm:.2g} mm (1 sigma) come from {term.name}: {term.advice}"
+    )
 
 
 def main_scale(B: FloatArray) -> float:
@@ -99,23 +128,41 @@ def stability_terms(
     air_px2 = (air_mm * scale_px_per_mm) ** 2
     zero = np.zeros(STATE)
     return (
-        Term(f"the cameras turning against each other over {warmed}", of_turn(cameras_k)),
-        Term(f"the cameras turning against each other in {days:.0f} days", of_turn(cameras_d)),
-        Term(f"the board turning on the pier over {warmed}", of_turn(board_k)),
-        Term(f"the board turning on the pier in {days:.0f} days", of_turn(board_d)),
+        Term(f"the cameras turning against each other over {warmed}", of_turn(cameras_k), _STIFFER),
+        Term(
+            f"the cameras turning against each other in {days:.0f} days",
+            of_turn(cameras_d),
+            _STIFFER,
+        ),
+        Term(f"the board turning on the pier over {warmed}", of_turn(board_k), _BOARD),
+        Term(f"the board turning on the pier in {days:.0f} days", of_turn(board_d), _BOARD),
         Term(
             f"the board expanding over {warmed}",
             np.diag([slide_px**2, slide_px**2, *zero[2:]]),
+            _BOARD,
         ),
         Term(
             f"the main lens warming by {warmed}",
             np.diag([lens_px**2, lens_px**2, 0.0, lens_scale**2, 0.0, 0.0]),
+            _LENS,
         ),
         Term(
             "the air's temperature gradient",
             np.diag([*zero[:4], _HORIZONTAL_SHARE**2 * air_px2, air_px2]),
+            _AIR,
         ),
     )
+
+
+def season_sentence(site: Site, scale_px_per_mm: float, image_mm: float) -> str:
+    """Say what a row's sigma becomes a month and a change of temperature after the calibration."""
+    later = Moment(_MONTH_S, site.stability.temperature_range_k)
+    terms = stability_terms(site, scale_px_per_mm, Moment(0.0, 0.0), later)
+    when = f"30 days and {site.stability.temperature_range_k:g} K after the calibration"
+    cause = budget_sentence(terms, scale_px_per_mm, image_mm)
+    if any(extra.role is TargetRole.FIXED for extra in site.extra_targets):
+        return f"{when} the fixed targets keep a row's sigma; while they are hidden {cause}"
+    return f"{when} {cause}" if cause else f"{when} a row is as good as its pixels"
 
 
 def state_effects(

@@ -32,6 +32,7 @@ from core.planning.predicted_accuracy import (
     predict_calibration,
     require_in_view,
 )
+from core.rig.stability import season_sentence
 from core.site import Site
 from daemon.calibration.positions import Limits, planned_positions
 from daemon.commands.options import Options, common_options, json_option, pass_options
@@ -297,6 +298,7 @@ def _say_predicted(plan: Plan, predicted: PredictedAccuracy) -> None:
         *((name, f"{row_mm:.4f}", f"{own_mm:.4f}") for name, row_mm, own_mm in motions),
     ]
     print_table(("rig moved", "1 sigma of a row, mm", "the calibration's part, mm"), rows)
+    say(season_sentence(plan.site, plan.site.nominal_px_per_mm, predicted.typical_mm))
 
 
 def _say_limits(plan: Plan, predicted: PredictedAccuracy) -> None:

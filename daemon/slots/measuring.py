@@ -22,7 +22,7 @@ from core.rig.stability import Moment
 from core.site import CameraGeometry, Site
 from daemon.store.database import Store
 from daemon.store.frames.archive import ArchivedPair, FrameArchive
-from daemon.store.records import DatumRecord
+from daemon.store.records import DatumRecord, rig_temperature_c
 from daemon.times import slot_text
 from drivers.errors import FrameSetError, ImageMissingError
 from drivers.frameset import FrameSetRow, read_image
@@ -109,13 +109,8 @@ def first_moment(pairs: Iterable[ImagePair]) -> Moment | None:
 def image_pair(pair: CapturedPair, slot_utc: datetime) -> ImagePair:
     """What the cameras gave for a slot."""
     main, sub = (GreyImage(frame.pixels, frame.bits) for frame in (pair.main, pair.sub))
-    warm = temperature_of_pair(pair.main.temperature_c, pair.sub.temperature_c)
+    warm = rig_temperature_c(pair.main.temperature_c, pair.sub.temperature_c)
     return ImagePair(main, sub, pair.skew_s, moment=Moment(slot_utc.timestamp(), warm))
-
-
-def temperature_of_pair(main_c: float | None, sub_c: float | None) -> float | None:
-    """The temperature that stands for the rig's: the main camera's, or else the sub-camera's."""
-    return sub_c if main_c is None else main_c
 
 
 def read_pair(files: PairFiles, site: Site) -> ImagePair:
@@ -139,7 +134,7 @@ def read_pair(files: PairFiles, site: Site) -> ImagePair:
 
 def row_moment(row: FrameSetRow) -> Moment:
     """When a row of a frame set was taken, and how warm the rig was."""
-    warm = temperature_of_pair(row.main_temperature_c, row.sub_temperature_c)
+    warm = rig_temperature_c(row.main_temperature_c, row.sub_temperature_c)
     return Moment(row.slot_utc.timestamp(), warm)
 
 
@@ -161,9 +156,7 @@ def load_pairs(
             pairs.append(ImagePair(None, None, unreadable=frozenset({"main", "sub"})))
             continue
         first = first or stored
-        warm = temperature_of_pair(
-            stored.main_camera.temperature_c, stored.sub_camera.temperature_c
-        )
+        warm = rig_temperature_c(stored.main_camera.temperature_c, stored.sub_camera.temperature_c)
         moment = Moment(slot_utc.timestamp(), warm)
         pairs.append(ImagePair(stored.main, stored.sub, stored.skew_s, moment=moment))
     return pairs, first

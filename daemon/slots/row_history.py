@@ -18,9 +18,8 @@ from core.quality.step_detection import (
 )
 from core.results import Measurement, Reason
 from core.rig.calibrated_site import CalibratedSite
-from core.rig.stability import Moment
 from core.site import QualityLimits, Site, TargetRole
-from daemon.slots.measuring import ActiveCalibration, temperature_of_pair
+from daemon.slots.measuring import ActiveCalibration
 from daemon.store.database import ALWAYS, Store
 from daemon.store.records import BELIEVED, SLIPPED, MeasurementRecord, PastRows
 from daemon.times import slot_text
@@ -140,12 +139,6 @@ def past_rows(
     if not fixed or calibration is None or calibration.id is None:
         return []
     return [
-        PastRow(record_moment(record), record.measurement)
+        PastRow(record.moment, record.measurement)
         for record in store.rows_with_targets(slot_utc, calibration.id, HISTORY_ROWS)
     ]
-
-
-def record_moment(record: MeasurementRecord) -> Moment:
-    """When a row was taken, and how warm the rig was."""
-    warm = temperature_of_pair(record.main_camera.temperature_c, record.sub_camera.temperature_c)
-    return Moment(record.slot_utc.timestamp(), warm)

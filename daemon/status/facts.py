@@ -11,7 +11,10 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 
+import numpy as np
+
 from core.quality.residual_ratio import WINDOW_ROWS, median_residual_ratio, residual_ratio
+from core.rig.stability import budget_sentence, stability_terms
 from daemon.clock.machine import read_boot_id, uptime_s
 from daemon.clock.time_sync import clock_is_synchronised
 from daemon.config.reading import Config
@@ -101,6 +104,8 @@ class Facts:
     """None without a fixed target that is believed."""
     targets: tuple[TargetSummary, ...]
     """The further targets, counted over 24 hours."""
+    largest_term: str | None
+    """What makes most of the last value's sigma, where no fixed target corrects it."""
     config_hash: str
     coverage_24h: Coverage
     coverage_30d: Coverage
@@ -146,6 +151,7 @@ def collect_facts(config: Config, state: Path, now_utc: datetime) -> Facts:
             closure_24h=overview.closure(now_utc - DAY, until_utc),
             closure_30d=overview.closure(now_utc - MONTH, until_utc),
             targets=tuple(overview.targets(now_utc - DAY, until_utc)),
+            largest_term=_largest_term(config, last, calibration),
             config_hash=config.config_hash(),
             coverage_24h=_coverage(config, overview, accounted, now_utc, DAY),
             coverage_30d=_coverage(config, overview, accounted, now_utc, MONTH),
@@ -270,3 +276,20 @@ def _sizes(state: Path, last: MeasurementRecord | None) -> Iterator[int]:
             first = state / name
             slot, _, role = first.name.partition("_")
             yield from (path.stat().st_size for path in first.parent.glob(f"{slot}*{role}"))
+
+
+def _largest_term(
+    config: Config,
+    last: MeasurementRecord | None,
+    calibration: ActiveCalibrationSummary | None,
+) -> str | None:
+    """What makes most of the last value's sigma; None where a fixed target corrects it."""
+    if last is None or calibration is None or calibration.reference is None:
+        return None
+    corrected = last.measurement.corrected
+    if corrected is None or corrected.image_mm2 is None or last.measurement.closure is not None:
+        return None
+    site, image_mm = config.site(), float(np.sqrt(np.diag(corrected.image_mm2).max()))
+    scale = site.nominal_px_per_mm
+    terms = stability_terms(site, scale, calibration.reference, last.moment)
+    return budget_sentence(terms, scale, image_mm)

@@ -47,6 +47,7 @@ def judge(facts: Facts) -> list[Item]:
         *_readings(facts),
         _calibration(facts),
         *judge_targets(facts),
+        *([Item("stability", Level.OK, facts.largest_term)] if facts.largest_term else []),
         *_zero(facts.calibration),
         _coverage("coverage 24 h", facts.coverage_24h),
         _coverage("coverage 30 d", facts.coverage_30d),

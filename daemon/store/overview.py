@@ -15,6 +15,7 @@ from datetime import datetime
 from pathlib import Path
 
 from core.results import Flag, TargetMeasurement
+from core.rig.stability import Moment
 from daemon.store.convert import measurement_record, stored_time
 from daemon.store.datum import datum_of, in_record_zero, targets_in_record_zero
 from daemon.store.reading import fetch, value, whole_rows
@@ -44,6 +45,8 @@ class ActiveCalibrationSummary:
     """Where its reference lies in the record's zero; None where nobody said so."""
     is_first: bool
     """Whether none was in use before it."""
+    reference: Moment | None
+    """When its reference was taken, and how warm the rig was."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,14 +207,16 @@ class Overview:
             "SELECT c.id, c.created_utc, c.method, c.passed, c.config_hash,"
             " json_extract(c.report, '$.lines[0]'),"
             " json_extract(c.content, '$.setup.levels.sub_rms_px'),"
-            " json_extract(c.content, '$.setup.levels.sub_contrast_dn')"
+            " json_extract(c.content, '$.setup.levels.sub_contrast_dn'),"
+            " json_extract(c.content, '$.reference.utc_s'),"
+            " json_extract(c.content, '$.reference.temperature_c')"
             " FROM calibration_activation a JOIN calibration c ON c.id = a.calibration_id"
             " ORDER BY a.id DESC LIMIT 1"
         )
         found = fetch(self._connection, query)
         if not found:
             return None
-        number, created, method, passed, hash_, verdict, rms_px, contrast_dn = found[0]
+        number, created, method, passed, hash_, verdict, rms_px, contrast_dn, *moment = found[0]
         return ActiveCalibrationSummary(
             number,
             stored_time(created),
@@ -223,6 +228,7 @@ class Overview:
             contrast_dn,
             self.datum(number),
             is_first=not value(self._connection, _OTHERS, number),
+            reference=None if moment[0] is None else Moment(*moment),
         )
 
     def fits(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from core.arrays import FloatArray
 from core.results import CalibrationReport, Displacement, Measurement, Reason
+from core.rig.stability import Moment
 
 if TYPE_CHECKING:
     from core.calibration.calibrate import Calibration
@@ -83,6 +84,11 @@ class Reading:
     """Why there is no value."""
 
 
+def rig_temperature_c(main_c: float | None, sub_c: float | None) -> float | None:
+    """The temperature that stands for the rig's: the main camera's, or else the sub-camera's."""
+    return sub_c if main_c is None else main_c
+
+
 @dataclass(frozen=True, slots=True)
 class MeasurementRecord:
     """One slot's row: the measurement and everything it was made from."""
@@ -114,6 +120,13 @@ class MeasurementRecord:
     """The frames were found without a row after a restart, and measured then."""
     main_camera: CameraState = field(default_factory=CameraState)
     sub_camera: CameraState = field(default_factory=CameraState)
+
+    @property
+    def moment(self) -> Moment:
+        """When it was taken, and how warm the rig was."""
+        main_c, sub_c = self.main_camera.temperature_c, self.sub_camera.temperature_c
+        return Moment(self.slot_utc.timestamp(), rig_temperature_c(main_c, sub_c))
+
     readings: tuple[Reading, ...] = ()
     """In the order of the config; empty where there are no sensors."""
 
