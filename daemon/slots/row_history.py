@@ -107,15 +107,16 @@ def stored_continuity(
 
 
 def _series(calibrated: CalibratedSite, rows: PastRows) -> RowSeries:
-    """Give stored rows as later ones need them; how sure a slide was is not read."""
+    """Give stored rows as later ones need them; how sure slide and closure were is not read."""
     baseline = calibrated.baseline
     sigma_mm = rows.sigma_mm.max(axis=1, initial=0.0)
     return RowSeries.of_columns(
         rows.time_s,
         {
             "mm": rows.mm,
-            "false_mm": rows.raw_mm - rows.mm,
+            "false_mm": rows.raw_mm - rows.mm - np.nan_to_num(rows.closure_mm),
             "slide_mm": rows.translation_mm @ slide_by_translation(calibrated).T,
+            "closure_mm": rows.closure_mm,
         },
         {"mm": sigma_mm, "false_mm": sigma_mm},
         np.array(

@@ -22,7 +22,8 @@ from daemon.times import slot_text
 
 _PAST = (
     *("x_mm", "y_mm", "raw_x_mm", "raw_y_mm", "tx_mm", "ty_mm", "tz_mm"),
-    *("sigma_x_mm", "sigma_y_mm", "sub_residual_px", "sub_contrast_dn"),
+    *("coalesce(sigma_image_x_mm, sigma_x_mm)", "coalesce(sigma_image_y_mm, sigma_y_mm)"),
+    *("closure_x_mm", "closure_y_mm", "sub_residual_px", "sub_contrast_dn"),
 )
 _WITHIN = "slot_utc >= ? AND slot_utc < ?"
 
@@ -114,10 +115,17 @@ def past(
     except (TypeError, ValueError) as error:
         msg = f"a number of a row is none: {error}"
         raise DamagedRowError(msg) from error
-    columns = np.split(table, np.cumsum([1, 2, 2, 3, 2, 1]), axis=1)
-    time_s, mm, raw_mm, translation_mm, sigma_mm, residual_px, contrast_dn = columns
+    columns = np.split(table, np.cumsum([1, 2, 2, 3, 2, 2, 1]), axis=1)
+    time_s, mm, raw_mm, translation_mm, sigma_mm, closure_mm, residual_px, contrast_dn = columns
     return PastRows(
-        time_s[:, 0], mm, raw_mm, translation_mm, sigma_mm, residual_px[:, 0], contrast_dn[:, 0]
+        time_s[:, 0],
+        mm,
+        raw_mm,
+        translation_mm,
+        sigma_mm,
+        closure_mm,
+        residual_px[:, 0],
+        contrast_dn[:, 0],
     )
 
 

@@ -149,7 +149,9 @@ class PastRows:
     translation_mm: FloatArray
     """(n, 3) of the rig."""
     sigma_mm: FloatArray
-    """(n, 2) of the corrected displacement."""
+    """(n, 2) of the corrected displacement, by pixels and calibration."""
+    closure_mm: FloatArray
+    """(n, 2) nan without a fixed target that is believed."""
     sub_residual_px: FloatArray
     """(n,) nan where there is none."""
     sub_contrast_dn: FloatArray
