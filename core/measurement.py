@@ -42,6 +42,7 @@ from core.rig.compensation import (
     remaining_shifts,
     rig_motion,
 )
+from core.rig.learnt import Learnt
 from core.rig.stability import Moment, Term, main_scale, stability_terms
 from core.rig.target_search import find_calibrated_targets
 from core.site import MAIN, CameraGeometry, ExtraTarget, Site
@@ -81,6 +82,7 @@ def measure_pair(
     skew_s: float | None = None,
     moment: Moment | None = None,
     distrusted: Collection[str] = (),
+    learnt: Learnt | None = None,
 ) -> Measurement:
     """Measure one pair.
 
@@ -89,7 +91,8 @@ def measure_pair(
     Lee et al. (2020), see docs/method.md. Never raises for what an image shows; None means there
     is no image. skew_s is the trigger of the sub image less that of the main one. With moment the
     sigmas hold what may have changed since the reference; without, the pixels and the calibration
-    alone. Fixed targets named in distrusted are measured and not believed. An example is in
+    alone. Fixed targets named in distrusted are measured and not believed. Where none is
+    believed, what was learnt of the rig (with a moment) is taken off. An example is in
     docs/functions.md.
     """
     calibrated = calibration.calibrated
@@ -100,7 +103,8 @@ def measure_pair(
     if motion is not None:
         reasons += judge_motion(calibrated, motion, site)
     terms = _stability(site, calibration, moment)
-    together = _together(main_seen, sub_seen, site, calibration, terms, distrusted)
+    seen_before = _Before(terms, distrusted, learnt, moment)
+    together = _together(main_seen, sub_seen, site, calibration, seen_before)
     corrected = together.corrected.get(MAIN)
     raw = main_seen.raw.get(MAIN)
     common = together.common.get(MAIN) or main_seen.common.get(MAIN)
@@ -170,6 +174,16 @@ class _MainSeen:
     discs: dict[str, Discs]
     raw: dict[str, Displacement]
     common: dict[str, CommonShift]
+
+
+@dataclass(frozen=True, slots=True)
+class _Before:
+    """What is known before the images are looked at."""
+
+    terms: Sequence[Term]
+    distrusted: Collection[str]
+    learnt: Learnt | None
+    moment: Moment | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,11 +298,10 @@ def _together(
     sub: _SubSeen | None,
     site: Site,
     calibration: Calibration,
-    terms: Sequence[Term],
-    distrusted: Collection[str],
+    before: _Before,
 ) -> _Together:
     """Take the rig's motion off all targets, and what the fixed ones show off the rest."""
-    calibrated = calibration.calibrated
+    calibrated, terms, distrusted = calibration.calibrated, before.terms, before.distrusted
     seen = [
         SeenTarget(target, main.discs[target.name])
         for target in (calibrated.main_target, *calibrated.further)
@@ -307,6 +320,9 @@ def _together(
     believed = consistent(joint, clean)
     moved = frozenset(clean) - set(believed)
     closure = closure_of(joint, believed)
+    if before.learnt is not None and before.moment is not None and terms and not believed:
+        prior = before.learnt.prior(site, calibrated.B, terms, before.moment)
+        joint = joint_shifts(shifts, site, site.main.centre_px, terms, prior)
     reasons = [Reason.FIXED_TARGET_MOVED] if moved else []
     if closure is not None and terms and is_beyond(closure):
         reasons.append(Reason.CLOSURE_TOO_LARGE)

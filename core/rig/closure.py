@@ -17,7 +17,7 @@ import numpy as np
 from core.arrays import FloatArray, IntArray
 from core.results import Displacement
 from core.rig.compensation import Shifts
-from core.rig.stability import STATE, Term, state_effects
+from core.rig.stability import STATE, Prior, Term, state_effects
 from core.site import Site
 
 _MOVED = 30.0
@@ -69,11 +69,20 @@ class JointShifts:
 
 
 def joint_shifts(
-    shifts: Shifts, site: Site, centre_px: FloatArray, terms: Sequence[Term]
+    shifts: Shifts,
+    site: Site,
+    centre_px: FloatArray,
+    terms: Sequence[Term],
+    prior: Prior | None = None,
 ) -> JointShifts:
-    """Bring shifts to mm, with what may have changed since the calibration (`stability_terms`)."""
+    """Bring shifts to mm, with what may have changed since the calibration (`stability_terms`).
+
+    A prior takes the place of these terms; what it lets expect is taken off all but fixed targets.
+    """
     to_mm, main_mm = shifts.to_mm, site.main_target.distance_mm
-    state = sum((term.covariance for term in terms), np.zeros((STATE, STATE)))
+    if prior is None:
+        covariance = sum((term.covariance for term in terms), np.zeros((STATE, STATE)))
+        prior = Prior(np.zeros(STATE), covariance)
     effects = to_mm @ np.concatenate(
         [
             state_effects(target, centre_px, main_mm)[: rows.stop - rows.start]
@@ -81,18 +90,19 @@ def joint_shifts(
         ]
     )
     stable_mm = {extra.name: extra.stable_mm for extra in site.extra_targets}
-    own_mm2 = np.zeros(len(shifts.values))
+    own_mm2, expected = np.zeros(len(shifts.values)), effects @ prior.mean
     for target, rows in zip(shifts.targets, shifts.rows, strict=True):
         if target.is_fixed:
             own_mm2[rows.start : rows.start + 2] = stable_mm.get(target.name, 0.0) ** 2
+            expected[rows] = 0.0
     return JointShifts(
         tuple(target.name for target in shifts.targets),
         tuple(target.is_fixed for target in shifts.targets),
         shifts.rows,
-        to_mm @ shifts.values,
+        to_mm @ shifts.values - expected,
         to_mm @ shifts.covariance @ to_mm.T,
         to_mm @ shifts.shared @ to_mm.T,
-        effects @ state @ effects.T + np.diag(own_mm2),
+        effects @ prior.covariance @ effects.T + np.diag(own_mm2),
     )
 
 

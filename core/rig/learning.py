@@ -32,7 +32,7 @@ _UNLIKELY = 12.0
 """Of the log-likelihood below its best, from which a ratio does not matter: 1 in 160,000."""
 _NEAREST_DAYS = 1e-3
 """Least step of the walk between two hours, days."""
-_APART = 1.1
+ALIKE = 1.1
 """Ratio of two distances from which the air is told from the steel. Chosen: below it a gradient is
 ten times less certain than the angle."""
 _DETERMINED = 2.0
@@ -137,6 +137,41 @@ def fit_rig(hours: TargetHours) -> RigFit:
     return RigFit((x, y), LAGS_H[best], air, int(kept.sum()))
 
 
+@dataclass(frozen=True, slots=True)
+class Predictor:
+    """What one axis of a single calibration lets expect after its last hour."""
+
+    mean: FloatArray
+    """(2,) the angle at temperature 0 as of the last hour (urad), and urad/K."""
+    covariance: FloatArray
+    """(2, 2) of these."""
+    creep_variance: float
+    """urad2 a day."""
+    noise_variance: float
+    """urad2 of an hour."""
+
+
+def predictors(days: FloatArray, warmth_k: FloatArray, angle_urad: FloatArray) -> Predictor:
+    """Fit one axis of one calibration, hours (n,), and give what holds at the last of them.
+
+    The walk is conditioned on all hours: universal kriging (Matheron 1969) at the last one.
+    """
+    walk = _Walk(np.zeros(len(days), dtype=np.int64), days)
+    X = np.column_stack([warmth_k, np.ones(len(days))])
+    fit = _fit_axis(walk, X, angle_urad)
+    ratio = fit.urad_per_sqrt_day.value**2 / fit.noise_urad**2
+    noise = fit.noise_urad**2
+    last = np.maximum(np.minimum(days, days[-1]), _NEAREST_DAYS) * ratio
+    products, _ = walk.weighted(np.column_stack([X, angle_urad, last]), ratio)
+    inverse = np.linalg.inv(products[:2, :2])
+    c, offset = inverse @ products[:2, 2]
+    walked = products[3, 2] - products[3, :2] @ np.array([c, offset])
+    own = max(last[-1] - products[3, 3], 0.0)
+    seen = np.array([[0.0, 1.0], [1.0, 0.0]]) - np.outer([1.0, 0.0], products[3, :2])
+    covariance = noise * (seen @ inverse @ seen.T + np.diag([own, 0.0]))
+    return Predictor(np.array([offset + walked, c]), covariance, noise * ratio, noise)
+
+
 def low_passed(
     calibration: IntArray, days: FloatArray, warmth_k: FloatArray, lag_h: float
 ) -> FloatArray:
@@ -196,7 +231,7 @@ def _both_distances(visible: BoolArray, distance_mm: FloatArray) -> BoolArray:
     """Hours (n,) in which targets at clearly different distances are seen."""
     farthest = np.where(visible, distance_mm, -np.inf).max(axis=1)
     nearest = np.where(visible, distance_mm, np.inf).min(axis=1)
-    return np.asarray(farthest > _APART * nearest)
+    return np.asarray(farthest > ALIKE * nearest)
 
 
 def _gradient(calibration: IntArray, slope_per_m: FloatArray, noise: FloatArray) -> Estimate | None:

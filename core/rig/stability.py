@@ -90,6 +90,16 @@ def budget_sentence(terms: Sequence[Term], scale_px_per_mm: float, image_mm: flo
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """What is known of the state before a pair is looked at."""
+
+    mean: FloatArray
+    """(6,)."""
+    covariance: FloatArray
+    """(6, 6)."""
+
+
 def main_scale(B: FloatArray) -> float:
     """px/mm of a target by its B~: the largest singular value, along which it is not tilted."""
     return float(np.linalg.svd(B, compute_uv=False)[0])

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import datetime
 from functools import partial
 from pathlib import Path
+from typing import Protocol
 
 import click
 
@@ -14,6 +15,7 @@ from core.calibration.calibrate import Calibration
 from core.errors import CalibrationError
 from core.quality.fixed_targets import HISTORY_ROWS, PastRow
 from core.results import Flag, Measurement
+from core.rig.learnt import Learnt
 from core.rig.stability import Moment
 from core.site import Site
 from daemon.commands.options import (
@@ -29,6 +31,7 @@ from daemon.commands.output_files import opened_table
 from daemon.config.reading import Config
 from daemon.errors import DatabaseMissingError, UsageError, WorkFailedError
 from daemon.reports.table import write_results
+from daemon.slots.learner import ComputedClosures, Learner
 from daemon.slots.measuring import (
     ActiveCalibration,
     PairFiles,
@@ -48,8 +51,17 @@ from daemon.times import EPOCH
 from drivers.frameset import FrameSet, FrameSetRow, read_frame_set
 
 Result = tuple[datetime, Measurement]
-Job = tuple[datetime, Callable[[Sequence[PastRow]], PastRow]]
-"""A slot, and how to measure it, given the rows before."""
+
+
+class MeasureJob(Protocol):
+    """Measures a slot, given the rows before and what they taught."""
+
+    def __call__(self, past: Sequence[PastRow], learnt: Learnt | None = None) -> PastRow:
+        """Give the slot's row."""
+
+
+Job = tuple[datetime, MeasureJob]
+"""A slot, and how to measure it."""
 
 
 @click.command(
@@ -108,11 +120,13 @@ def command(
     results = []
     sequence = RowHistory(calibration, site.quality)
     past: deque[PastRow] = deque(maxlen=HISTORY_ROWS)
+    learner, closures = Learner(), ComputedClosures()
     with progress(len(jobs), "measuring") as steps:
         for slot_utc, measure_job in jobs:
-            alone = measure_job(past)
+            alone = measure_job(past, learner.at(slot_utc, calibration, closures.hours))
             measurement = sequence.judge(slot_utc, alone.measurement)
             past.append(PastRow(alone.moment, measurement))
+            closures.add(past[-1])
             results.append((slot_utc, in_record_zero(measurement, calibration.datum)))
             steps.next()
     targets = [extra.name for extra in site.extra_targets]
@@ -184,10 +198,14 @@ def _files(frames: FrameSet, row: FrameSetRow) -> PairFiles:
 
 
 def _measure_files(
-    files: list[PairFiles], site: Site, calibration: ActiveCalibration, past: Sequence[PastRow]
+    files: list[PairFiles],
+    site: Site,
+    calibration: ActiveCalibration,
+    past: Sequence[PastRow],
+    learnt: Learnt | None = None,
 ) -> PastRow:
     pairs = (read_pair(pair, site) for pair in files)
-    return PastRow(files[0].moment, measure(pairs, site, calibration, past))
+    return PastRow(files[0].moment, measure(pairs, site, calibration, past, learnt))
 
 
 def _measure_kept(
@@ -196,10 +214,11 @@ def _measure_kept(
     site: Site,
     calibration: ActiveCalibration,
     past: Sequence[PastRow],
+    learnt: Learnt | None = None,
 ) -> PastRow:
     pairs, _ = load_pairs(archive, slot_utc)
     moment = first_moment(pairs) or Moment(slot_utc.timestamp())
-    return PastRow(moment, measure(pairs, site, calibration, past))
+    return PastRow(moment, measure(pairs, site, calibration, past, learnt))
 
 
 def _skew_s(row: FrameSetRow) -> float | None:

@@ -27,11 +27,6 @@ if TYPE_CHECKING:
     from core.rig.learning import Estimate, RigFit, TargetHours
     from core.site import Site
 
-_FEWEST_DAYS = 7.0
-"""That a fixed target was watched for. Chosen: a week of daily waves, and of creep."""
-_FEWEST_HOURS = 72
-_LEAST_K = 2.0
-"""Of the main camera between its warmest and coldest hour."""
 _NARROWER = 0.5
 """Of what the config allows, below which less would do."""
 
@@ -147,23 +142,25 @@ def _require_enough(hours: TargetHours, *, told: bool, state: str) -> None:
     """Raise WorkFailedError with what is missing."""
     import numpy as np
 
+    from core.rig.learnt import FEWEST_DAYS, FEWEST_HOURS, LEAST_K
+
     if not told or not len(hours.distance_mm):
         missing = (
-            "no row with a good fixed target and the main camera's temperature; hang one "
+            "no row with a good fixed target and the camera's temperature; hang one "
             "([[target.extra]], role fixed) and calibrate with it in view"
         )
         raise WorkFailedError(_said(state, missing))
     seen = hours.seen
     days = float(np.ptp(hours.days[seen])) if seen.any() else 0.0
     warmth = float(np.ptp(hours.warmth_k[seen])) if seen.any() else 0.0
-    if days < _FEWEST_DAYS or seen.sum() < _FEWEST_HOURS:
+    if days < FEWEST_DAYS or seen.sum() < FEWEST_HOURS:
         missing = (
             f"a fixed target was seen in {int(seen.sum())} hours of {days:.1f} days: needs "
-            f"{_FEWEST_HOURS} hours within {_FEWEST_DAYS:.0f} days or more"
+            f"{FEWEST_HOURS} hours within {FEWEST_DAYS:.0f} days or more"
         )
         raise WorkFailedError(_said(state, missing))
-    if warmth < _LEAST_K:
-        missing = f"the main camera's temperature changed by {warmth:.1f} K only: needs {_LEAST_K}"
+    if warmth < LEAST_K:
+        missing = f"the camera's temperature changed by {warmth:.1f} K only: needs {LEAST_K}"
         raise WorkFailedError(_said(state, f"{missing} K"))
 
 
@@ -175,12 +172,14 @@ def _each(hours: TargetHours) -> dict[int, TargetHours]:
     """The hours of each calibration that has enough of its own."""
     import numpy as np
 
+    from core.rig.learnt import FEWEST_HOURS
+
     seen = hours.seen
     numbers = [int(number) for number in np.unique(hours.calibration)]
     return {
         number: hours.part(hours.calibration == number)
         for number in numbers
-        if (seen & (hours.calibration == number)).sum() >= _FEWEST_HOURS
+        if (seen & (hours.calibration == number)).sum() >= FEWEST_HOURS
     }
 
 

@@ -18,6 +18,7 @@ from core.quality.fixed_targets import PastRow, moved_alone, not_believed_any_mo
 from core.quality.step_detection import add_reasons
 from core.quality.verdicts import flag_of
 from core.results import Flag, Measurement, Reason
+from core.rig.learnt import Learnt
 from core.rig.stability import Moment
 from core.site import CameraGeometry, Site
 from daemon.store.database import Store
@@ -84,20 +85,22 @@ def measure(
     site: Site,
     calibration: ActiveCalibration | None,
     past: Sequence[PastRow] = (),
+    learnt: Learnt | None = None,
 ) -> Measurement:
     """Measure the pairs of one slot and combine them; every slot gets an answer.
 
     past are the rows before, in order, by which fixed targets that moved by themselves are known.
+    learnt serves where no fixed target is seen.
     """
     shown, lost = list(pairs), not_believed_any_more(past)
-    measurement = combine([_measure_one(pair, site, calibration, lost) for pair in shown])
+    measurement = combine([_measure_one(pair, site, calibration, lost, learnt) for pair in shown])
     moment = first_moment(shown)
     if calibration is None or moment is None:
         return measurement
     moved = moved_alone(past, measurement, moment, site, calibration.calibration.calibrated)
     if not moved:
         return measurement
-    without = [_measure_one(pair, site, calibration, lost | moved) for pair in shown]
+    without = [_measure_one(pair, site, calibration, lost | moved, learnt) for pair in shown]
     return add_reasons(combine(without), (Reason.FIXED_TARGET_MOVED,))
 
 
@@ -183,6 +186,7 @@ def _measure_one(
     site: Site,
     calibration: ActiveCalibration | None,
     distrusted: frozenset[str],
+    learnt: Learnt | None,
 ) -> Measurement:
     if len(pair.unreadable) == len(_UNREADABLE):
         return _bad(*_UNREADABLE.values())
@@ -192,7 +196,7 @@ def _measure_one(
         else:
             given = calibration.calibration
             measurement = measure_pair(
-                pair.main, pair.sub, site, given, pair.skew_s, pair.moment, distrusted
+                pair.main, pair.sub, site, given, pair.skew_s, pair.moment, distrusted, learnt
             )
     except Exception:  # noqa: BLE001 - a fault of ours costs this value, not the row
         _log.exception("measurement_broke")

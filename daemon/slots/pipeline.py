@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import partial
 
 import structlog
 
@@ -21,6 +22,7 @@ from daemon.readings.changes import Changes
 from daemon.readings.sampler import Sampler
 from daemon.retention.guard import DiskGuard
 from daemon.slots.exposure import ExposureLoop
+from daemon.slots.learner import Learner
 from daemon.slots.measuring import (
     ActiveCalibration,
     ImagePair,
@@ -75,6 +77,8 @@ class SlotContext:
     """What follows the light from slot to slot; None where exposure is fixed."""
     readings: Sampler = field(default_factory=Sampler)
     """The sensors, asked ahead of each slot."""
+    learner: Learner = field(default_factory=Learner)
+    """What fixed targets taught of the rig."""
     changes: Changes | None = None
     """Tells which readings have begun to fail; None where nobody is told."""
     machine: Machine = field(default_factory=this_machine)
@@ -196,7 +200,11 @@ def _measure(
     """Measure a slot's pairs and hold the result against the rows before."""
     before_utc = NEVER if context.undated else slot_utc
     past = past_rows(context.store, calibration, context.site, before_utc)
-    alone = measure(pairs, context.site, calibration, past)
+    learnt = None
+    if not context.undated and calibration is not None and calibration.id is not None:
+        hours = partial(context.store.hourly_closures, calibration.id)
+        learnt = context.learner.at(slot_utc, calibration, hours)
+    alone = measure(pairs, context.site, calibration, past, learnt)
     return judge_in_history(context.store, calibration, context.site.quality, before_utc, alone)
 
 

@@ -15,11 +15,10 @@ from core.results import Flag
 from core.rig.learning import TargetHours
 from core.site import TargetRole
 from daemon.store.columns import Columns, Tell, read_columns
+from daemon.store.hourly_closures import HOUR, middle_of_hour_s
 from daemon.store.targets import stored_targets
 
 _DAY_S = 86_400.0
-_HOUR = len("2026-03-01T00")
-"""Characters of a slot's text that name its hour."""
 
 Key = tuple[int, str]
 """A calibration and an hour."""
@@ -30,18 +29,22 @@ class ClosureHours:
     """Sums of the hours of a record."""
 
     warmth: dict[Key, FloatArray] = field(default_factory=dict)
-    """(2,) sum of the main camera's temperatures, and how many."""
+    """(2,) sum of the cameras' temperatures (the main one's, else the other's), and how many."""
     closure: dict[Key, dict[str, FloatArray]] = field(default_factory=dict)
     """(5,) by target: sums of x, y (mm), their variances by the pixels, and how many."""
 
     def add(self, columns: Columns) -> None:
         """Add rows. Only what good fixed targets show."""
         values = columns.values
-        names = ("slot_utc", "calibration_id", "main_temperature_c", "targets")
-        for slot, calibration, celsius, text in zip(*(values[n] for n in names), strict=True):
+        names = (
+            *("slot_utc", "calibration_id", "main_temperature_c", "sub_temperature_c"),
+            "targets",
+        )
+        for slot, calibration, main_c, sub_c, text in zip(*(values[n] for n in names), strict=True):
+            celsius = sub_c if main_c is None else main_c
             if calibration is None or celsius is None:
                 continue
-            key = (calibration, slot[:_HOUR])
+            key = (calibration, slot[:HOUR])
             self.warmth.setdefault(key, np.zeros(2))[:] += celsius, 1.0
             for seen in stored_targets(text):
                 if seen["role"] == TargetRole.FIXED and seen["flag"] == Flag.GOOD:
@@ -54,7 +57,7 @@ class ClosureHours:
         """The hours of some calibrations, by the seconds (since 1970) of their references."""
         names = list(distances_mm)
         keys = sorted(key for key in self.warmth if key[0] in references_s)
-        hours_s = np.array([_middle_s(hour) for _, hour in keys])
+        hours_s = np.array([middle_of_hour_s(hour) for _, hour in keys])
         since_s = hours_s - np.array([references_s[number] for number, _ in keys])
         later = since_s > 0.0
         keys = [key for key, kept in zip(keys, later, strict=True) if kept]
@@ -85,7 +88,3 @@ def read_closure_hours(
 def _summed(seen: Mapping[str, float]) -> Sequence[float]:
     sigmas = (seen.get(f"sigma_image_{axis}_mm", seen[f"sigma_{axis}_mm"]) for axis in "xy")
     return (seen["x_mm"], seen["y_mm"], *(sigma**2 for sigma in sigmas), 1.0)
-
-
-def _middle_s(hour: str) -> float:
-    return datetime.fromisoformat(f"{hour}:30:00Z").timestamp()

@@ -16,6 +16,7 @@ from typing import cast
 
 from sqlalchemy import Engine
 
+from core.arrays import FloatArray
 from daemon.durable import fsync_directory
 from daemon.store import calibrations, datum, events, frame_days, measurements, undated
 from daemon.store import gaps as gap_runs
@@ -24,6 +25,7 @@ from daemon.store.columns import read_columns
 from daemon.store.convert import measurement_record
 from daemon.store.copying import Copied, Tell, backup, rescue
 from daemon.store.engine import make_engine, translated
+from daemon.store.hourly_closures import hourly_closures
 from daemon.store.migrate import migrate as run_migrations
 from daemon.store.migrate import require_head
 from daemon.store.overview import Overview
@@ -151,6 +153,10 @@ class Store(Transactions):
         """The last rows before a slot that say something of further targets, in order."""
         with self._read() as connection:
             return measurements.last_with_targets(connection, slot_utc, calibration_id, limit)
+
+    def hourly_closures(self, calibration_id: int, since: datetime, until: datetime) -> FloatArray:
+        """Closures of a calibration's rows by the hour, see `daemon.store.hourly_closures`."""
+        return hourly_closures(self.path, calibration_id, since, until)
 
     def measured_slots(self, since: datetime = ALWAYS, until: datetime = NEVER) -> set[datetime]:
         """The slots that have a row, since <= slot < until."""

@@ -14,17 +14,28 @@ import numpy as np
 import pytest
 
 from core.calibration.calibrate import Calibration
+from core.images import GreyImage
+from core.quality.fixed_targets import PastRow
 from core.results import Displacement, Flag, Measurement, TargetMeasurement
 from core.rig.calibrated_target import CalibratedTarget
 from core.rig.stability import Moment
-from core.site import TargetRole
+from core.site import ExtraTarget, TargetRole
+from daemon.config.reading import load_config
+from daemon.slots.learner import ComputedClosures
+from daemon.slots.pipeline import run_slot
+from daemon.slots.row_history import record_moment
 from daemon.store.database import open_store
 from daemon.store.records import CameraState, MeasurementRecord
+from drivers.frameset import read_frame_set, read_image
+from drivers.protocols import CapturedPair
 from tests.daemon.commands.conftest import GOOD, Ctl, Ran
+from tests.daemon.conftest import ScriptedSource, Station, SteppedClock
 
 REFERENCE = datetime(2026, 4, 1, tzinfo=UTC)
 DISTANCE_MM = 21_500.0
 C_URAD_PER_K = (3.0, -4.0)
+WARM_C = 20.0
+"""When the fixed target is hidden; 12 at the reference."""
 
 
 class Watched:
@@ -34,6 +45,8 @@ class Watched:
         self._ctl, self._config = ctl, bench / "dcam.toml"
         self.state = Path(shutil.copytree(calibrated, directory / "state"))
         self.number = self.calibrate()
+        self.walk_urad = np.zeros(2)
+        """Where the creep has come to."""
 
     def calibrate(self) -> int:
         """Add a calibration whose reference shows a fixed target; its number."""
@@ -65,9 +78,9 @@ class Watched:
     def watch(
         self, days: int, *, swing_k: float = 5.0, rise_k: float = 0.02, celsius: bool = True
     ) -> None:
-        """A row an hour, the rig turning by so much for each kelvin."""
+        """A row an hour, the rig turning by so much for each kelvin, and creeping."""
         rng = np.random.default_rng(1)
-        walk_urad = np.zeros(2)
+        walk_urad = self.walk_urad
         with open_store(self.state) as store:
             for hour in range(1, 24 * days):
                 slot = REFERENCE + timedelta(hours=hour)
@@ -92,6 +105,40 @@ def seen(mm: np.ndarray) -> Measurement:
     closure = Displacement(mm, np.eye(2) * 0.2**2, image_mm2=np.eye(2) * 0.003**2)
     plate = TargetMeasurement("abutment", TargetRole.FIXED, Flag.GOOD, (), closure, closure)
     return replace(GOOD, closure=closure, targets=(plate,))
+
+
+class Replayed(ScriptedSource):
+    """Cameras that give a stored pair, at a temperature."""
+
+    def __init__(self, clock: SteppedClock, pair: tuple[GreyImage, GreyImage]) -> None:
+        super().__init__(clock)
+        self._pair = pair
+
+    def capture(self, slot_utc: datetime) -> CapturedPair:
+        captured = super().capture(slot_utc)
+        main, sub = (
+            replace(frame, pixels=image.pixels, bits=image.bits, temperature_c=WARM_C)
+            for frame, image in zip((captured.main, captured.sub), self._pair, strict=True)
+        )
+        return replace(captured, main=main, sub=sub)
+
+
+def measured(watched: Watched, bench: Path) -> MeasurementRecord:
+    """The row that dcamd makes of a pair without its fixed target, 20 days after the reference."""
+    station = Station(watched.state)
+    site = load_config(bench / "dcam.toml").site()
+    plate = ExtraTarget("abutment", TargetRole.FIXED, site.main_target)
+    context = replace(station.context, site=replace(site, extra_targets=(plate,)))
+    row = read_frame_set(bench / "set").slots_of("measure")[0][0]
+    assert row.main is not None
+    assert row.sub is not None
+    pair = (read_image(bench / "set" / row.main), read_image(bench / "set" / row.sub))
+    record = run_slot(
+        context, REFERENCE + timedelta(days=20, hours=1), Replayed(station.clock, pair)
+    )
+    assert isinstance(record, MeasurementRecord)
+    assert record.measurement.closure is None
+    return record
 
 
 @pytest.fixture
@@ -140,7 +187,7 @@ def test_two_calibrations_are_fitted_each_and_together(watched: Watched) -> None
 @pytest.mark.parametrize(
     ("make", "missing"),
     [
-        (lambda _: None, "no row with a good fixed target and the main camera's temperature"),
+        (lambda _: None, "no row with a good fixed target and the camera's temperature"),
         (lambda one: one.watch(9, celsius=False), "no row with a good fixed target"),
         (lambda one: one.watch(3), "seen in 71 hours of 2.9 days: needs 72 hours within 7 days"),
         (lambda one: one.watch(9, swing_k=0.1, rise_k=0.0), "temperature changed by 0.2 K only"),
@@ -154,3 +201,33 @@ def test_what_is_missing_is_one_clear_line(
     assert ran.code == 1
     assert missing in ran.err
     assert len(ran.err.strip().splitlines()) == 1
+
+
+def test_what_was_learnt_corrects_rows_while_the_fixed_target_is_hidden(
+    watched: Watched, bench: Path, calibrated: Path, tmp_path: Path, ctl: Ctl
+) -> None:
+    watched.watch(20)
+    with_it = measured(watched, bench).measurement.corrected
+    ignorant = Watched(bench, calibrated, tmp_path / "ignorant", ctl)
+    without = measured(ignorant, bench).measurement.corrected
+    assert with_it is not None
+    assert without is not None
+    turn_urad = np.multiply(C_URAD_PER_K, WARM_C - 12.0) + watched.walk_urad
+    main_mm = load_config(bench / "dcam.toml").site().main_target.distance_mm
+    taken_off_mm = without.mm - with_it.mm
+    sigma_mm = np.sqrt(np.diag(with_it.covariance_mm2))
+    assert np.all(np.abs(taken_off_mm - 1e-6 * main_mm * turn_urad) < 3.0 * sigma_mm)
+    assert np.all(np.abs(taken_off_mm) > 5.0 * sigma_mm)
+    assert np.all(sigma_mm < 0.5 * np.sqrt(np.diag(without.covariance_mm2)))
+
+
+def test_reprocess_learns_from_the_same_numbers_as_dcamd(watched: Watched) -> None:
+    watched.watch(9)
+    closures = ComputedClosures()
+    since, until = REFERENCE + timedelta(days=1), REFERENCE + timedelta(days=8)
+    with open_store(watched.state) as store:
+        for record in store.measurements():
+            closures.add(PastRow(record_moment(record), record.measurement))
+        stored = store.hourly_closures(watched.number, since, until)
+    assert len(stored) == 7 * 24
+    np.testing.assert_allclose(closures.hours(since, until), stored, rtol=1e-12)
