@@ -23,7 +23,6 @@ from core.site import ExtraTarget, TargetRole
 from daemon.config.reading import load_config
 from daemon.slots.learner import ComputedClosures
 from daemon.slots.pipeline import run_slot
-from daemon.slots.row_history import record_moment
 from daemon.store.database import open_store
 from daemon.store.records import CameraState, MeasurementRecord
 from drivers.frameset import read_frame_set, read_image
@@ -227,7 +226,7 @@ def test_reprocess_learns_from_the_same_numbers_as_dcamd(watched: Watched) -> No
     since, until = REFERENCE + timedelta(days=1), REFERENCE + timedelta(days=8)
     with open_store(watched.state) as store:
         for record in store.measurements():
-            closures.add(PastRow(record_moment(record), record.measurement))
+            closures.add(PastRow(record.moment, record.measurement))
         stored = store.hourly_closures(watched.number, since, until)
     assert len(stored) == 7 * 24
     np.testing.assert_allclose(closures.hours(since, until), stored, rtol=1e-12)
