@@ -14,7 +14,7 @@ import cv2
 from benchmarks.accuracy import FRAMES, SLOW_FRAMES, Accuracy, measure_accuracy
 from benchmarks.finders import FinderCost, measure_finders, worst
 from benchmarks.memory import SETTLED_AT, MemoryUse, measure_memory
-from benchmarks.pair import CONFIG, PAIRS, PairCost, measure_cost
+from benchmarks.pair import CONFIG, PAIRS, PairCost, further_target_cost, measure_cost
 from benchmarks.record import ROWS, RecordCost, measure_record
 from benchmarks.status import SLOTS, StatusCost, measure_status
 from daemon.config.reading import load_config
@@ -147,6 +147,8 @@ def time_rows(pair: PairCost, result: Accuracy) -> Iterator[Row]:
     size = f"{pair.width_px} x {pair.height_px} px"
     what = f"time of a pair of {size}, images to displacement: decoding both PNGs"
     yield row(what, pair.measure_s, pair.decode_s, ms)
+    what = f"time of a pair of {size} with one further target in the main image: without it"
+    yield row(what, *further_target_cost(), ms)
     for half, seconds in result.subpix_s.items():
         what = (
             f"time of corner fit and pose: `cornerSubPix`, window {half}, `solvePnP`, same corners"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -16,10 +16,11 @@ from core.arrays import FloatArray
 from core.calibration.calibrate import CalibrationView, ViewRole, calibrate
 from core.images import GreyImage
 from core.measurement import measure_pair
+from core.site import ExtraTarget, TargetRole
 from daemon.config.reading import load_config
 from drivers.png import encode_png
-from drivers.protocols import Image
-from drivers.sim.settings import SimSettings
+from drivers.protocols import Image, Role
+from drivers.sim.settings import SimPlate, SimSettings
 from drivers.sim.world import World
 
 CONFIG = Path(__file__).parents[1] / "config.example.toml"
@@ -28,6 +29,7 @@ CALIBRATION_UTC = START_UTC - timedelta(hours=1)
 LENS_VIEWS = 12
 PAN_TILT_DEG = (-0.2, -0.1, 0.0, 0.1, 0.2)
 PAIRS = 12
+ROLES: tuple[Role, Role] = ("main", "sub")
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +79,32 @@ def measure_cost() -> PairCost:
         rms(errors),
         rms(false),
     )
+
+
+def further_target_cost() -> tuple[float, float]:
+    """CPU seconds of a pair with one further target in the main image, and of the same without."""
+    config = load_config(CONFIG).site()
+    drawn = config.main_target
+    half = replace(drawn, centres_mm=drawn.centres_mm / 2, diameters_mm=drawn.diameters_mm / 2)
+    site = replace(config, extra_targets=(ExtraTarget("abutment", TargetRole.FIXED, half),))
+    plate = SimPlate("abutment", offset_mm=(50.0, 0.0))
+    world = World(site, SimSettings(start_utc=START_UTC, plates=(plate,)))
+    calibration, _ = calibrate(calibration_views(world), site)
+    alone = replace(calibration, calibrated=replace(calibration.calibrated, further=()))
+    with_s: list[float] = []
+    without_s: list[float] = []
+    for number in range(PAIRS + 1):
+        now = START_UTC + timedelta(minutes=45 * number + 30)
+        images = [GreyImage(world.render(role, now)) for role in ROLES]
+        for seconds, given, used in ((with_s, site, calibration), (without_s, config, alone)):
+            started_s = time.process_time()
+            result = measure_pair(images[0], images[1], given, used)
+            seconds.append(time.process_time() - started_s)
+            if len(result.targets) != len(given.extra_targets) or result.corrected is None:
+                msg = f"a pair of {now} was not measured: {', '.join(result.reasons)}"
+                raise RuntimeError(msg)
+    # The first pair loads the compiled loops.
+    return statistics.median(with_s[1:]), statistics.median(without_s[1:])
 
 
 def calibration_views(world: World) -> list[CalibrationView]:
