@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import replace
 from datetime import datetime
 from typing import Any, NoReturn
 
@@ -57,9 +58,16 @@ class MeasuredAgain:
         self._results: dict[tuple[int, ...], Measurement] = {}
 
     def measure(
-        self, pairs: Iterable[ImagePair], site: Site, calibration: ActiveCalibration | None
+        self,
+        pairs: Iterable[ImagePair],
+        site: Site,
+        calibration: ActiveCalibration | None,
+        *_: object,
     ) -> Measurement:
-        """Stand in for `measuring.measure`. Raises RuntimeError if a result changes."""
+        """Stand in for `measuring.measure`. Raises RuntimeError if a result changes.
+
+        The moment is left out, with which sigma grows.
+        """
         (pair,) = pairs
         assert pair.main is not None
         assert pair.sub is not None
@@ -67,7 +75,7 @@ class MeasuredAgain:
         key = (id(pair.main.pixels), id(pair.sub.pixels), (calibration and calibration.id) or 0)
         looks, self._looks[key] = self._looks[key], self._looks[key] + 1
         if looks % self._every == 0:
-            result = measuring.measure([pair], site, calibration)
+            result = measuring.measure([replace(pair, moment=None)], site, calibration)
             if repr(self._results.setdefault(key, result)) != repr(result):
                 msg = "the same images were measured twice, and not alike"
                 raise RuntimeError(msg)

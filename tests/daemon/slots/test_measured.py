@@ -51,6 +51,11 @@ def table(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(path.read_text().splitlines()))
 
 
+def measured(site: Path) -> list[dict[str, str]]:
+    """The rows of slots that were measured: on a busy computer one may be missed, with its gap."""
+    return [row for row in table(site / "rows.csv") if row["flag"] != "9"]
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A calibrated small site, whose measure rows dcamd has replayed, one a second."""
@@ -68,7 +73,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_rows_are_what_reprocess_makes_of_the_same_images(site: Path) -> None:
     output = site / "again.csv"
     call("daemon.ctl", site, "reprocess", "--from", str(site / "frames"), "--output", str(output))
-    rows, again = table(site / "rows.csv"), table(output)
+    rows, again = measured(site), table(output)
     assert len(rows) == len(again) == SLOTS
     for row, other in zip(rows, again, strict=True):
         assert row["flag"] == other["flag"] == "1"
@@ -78,7 +83,7 @@ def test_rows_are_what_reprocess_makes_of_the_same_images(site: Path) -> None:
 
 def test_rows_are_true_within_their_sigmas(site: Path) -> None:
     truth = [row for row in table(site / "frames" / "truth.csv") if row["role"] == "measure"]
-    for row, true in zip(table(site / "rows.csv"), truth, strict=True):
+    for row, true in zip(measured(site), truth, strict=True):
         for axis in ("x", "y"):
             error = float(row[f"{axis}_mm"]) - float(true[f"{axis}_mm"])
             assert abs(error) < 5 * float(row[f"sigma_{axis}_mm"])
@@ -87,8 +92,8 @@ def test_rows_are_true_within_their_sigmas(site: Path) -> None:
 def test_frames_on_the_disk_are_those_that_were_replayed(site: Path) -> None:
     import cv2
 
-    measured = [row for row in table(site / "frames" / "frames.csv") if row["role"] == "measure"]
-    for row, source in zip(table(site / "rows.csv"), measured, strict=True):
+    given_rows = [row for row in table(site / "frames" / "frames.csv") if row["role"] == "measure"]
+    for row, source in zip(measured(site), given_rows, strict=True):
         for role in ("main", "sub"):
             kept = cv2.imread(str(site / "state" / row[f"{role}_frame"]), cv2.IMREAD_UNCHANGED)
             given = cv2.imread(str(site / "frames" / source[role]), cv2.IMREAD_UNCHANGED)
@@ -101,7 +106,7 @@ def test_row_that_a_crash_took_is_measured_late_to_the_same_value(site: Path) ->
         measured_mm = list(database.execute(query).fetchone())
         database.execute("DELETE FROM measurement WHERE id = (SELECT max(id) FROM measurement)")
     database.close()
-    lost = table(site / "rows.csv")[-1]
+    lost = measured(site)[-1]
 
     call("daemon.main", site, "--max-slots", "1")
 
