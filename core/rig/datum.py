@@ -13,9 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import FloatArray
+from core.geometry.pose import Pose
 from core.results import Displacement
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.calibrated_target import CalibratedTarget
+from core.rig.rigid import Rig
 from core.rig.stability import main_scale
 from core.site import Site
 
@@ -44,15 +46,35 @@ class _Pair:
     name: str
 
 
+@dataclass(frozen=True, slots=True)
+class Travel:
+    """How the main camera has moved across its line of sight between two references."""
+
+    mm: FloatArray
+    """(2,) along its x and y, as it turns points: `T_CM2_CM1`."""
+    sigma_mm: float
+
+
+def travel_by(old: CalibratedSite, motion: Pose, sigma_mm: float) -> Travel | None:
+    """What a rig motion `T_CS2_CS1` since the old reference says; None without a rigid model."""
+    if not isinstance(old.model, Rig):
+        return None
+    T_CM_CS = old.model.T_CM_CS
+    T_CM2_CM1 = T_CM_CS.compose(motion).compose(T_CM_CS.inverse())
+    return Travel(T_CM2_CM1.t_mm[:2], sigma_mm)
+
+
 def through_fixed_targets(
-    old: CalibratedSite, new: CalibratedSite, site: Site
+    old: CalibratedSite, new: CalibratedSite, site: Site, travel: Travel | None = None
 ) -> dict[str, Displacement] | None:
     """Displacements of the moving targets at the new reference, from where they were at the old.
 
-    The main image may have shifted, turned and changed its scale by any amount; the pair may have
-    moved by the expected drift, which by parallax shifts targets at other distances otherwise. None
-    where no fixed target is in both references. Keys are the targets' names.
+    The main image may have shifted, turned and changed its scale by any amount. The pair may have
+    moved, which by parallax shifts targets at other distances otherwise: as travel says, or else
+    by the expected drift. None where no fixed target is in both references. Keys are the targets'
+    names.
     """
+    travel = travel or Travel(np.zeros(2), site.quality.expected_drift_mm)
     stable_mm = {extra.name: extra.stable_mm for extra in site.extra_targets}
     earlier = {target.name: target for target in (old.main_target, *old.further)}
     pairs = [
@@ -66,7 +88,7 @@ def through_fixed_targets(
     if not fixed or not moving:
         return None
     focal_px = main_scale(old.B) * site.main_target.distance_mm
-    return _solve(fixed, moving, site, focal_px)
+    return _solve(fixed, moving, site, focal_px, travel)
 
 
 def _pair(
@@ -97,7 +119,11 @@ def _disc_px2(target: CalibratedTarget, site: CalibratedSite) -> FloatArray:
 
 
 def _solve(
-    fixed: Sequence[_Pair], moving: Sequence[_Pair], site: Site, focal_px: float
+    fixed: Sequence[_Pair],
+    moving: Sequence[_Pair],
+    site: Site,
+    focal_px: float,
+    travel: Travel,
 ) -> dict[str, Displacement]:
     """Least squares: shift, turn, scale, parallax, own shifts of the fixed, and of the moving."""
     everyone = [*fixed, *moving]
@@ -105,14 +131,15 @@ def _solve(
     prior = np.array(
         [_UNKNOWN_PX] * 2
         + [_UNKNOWN_TURN] * 2
-        + [site.quality.expected_drift_mm] * 2
+        + [travel.sigma_mm] * 2
         + [value for p in fixed for value in [_own_px(p)] * 2]
         + [_UNKNOWN_PX] * 2 * len(moving)
     )
     centre_px, near_mm = site.main.centre_px, site.main_target.distance_mm
-    state = np.zeros(n)
+    start = np.concatenate([np.zeros(4), travel.mm, np.zeros(n - 6)])
+    state = start
     for _ in range(_ROUNDS):
-        normal, right = np.diag(prior**-2.0), -state / prior**2
+        normal, right = np.diag(prior**-2.0), (start - state) / prior**2
         for k, pair in enumerate(everyone):
             model, jacobian = _model(state, k, pair, centre_px, focal_px, near_mm)
             weight = np.repeat(1.0 / pair.px2, 2)

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 
 import numpy as np
 
 from core.arrays import FloatArray
 from core.calibration.calibrate import Calibration
+from core.geometry.pose import Pose
 from core.images import GreyImage
-from core.results import Displacement, Flag, Measurement
+from core.results import Displacement, Flag, Measurement, RigMotion
 from core.rig.calibrated_site import CalibratedSite
-from core.rig.datum import through_fixed_targets
+from core.rig.datum import Travel, through_fixed_targets, travel_by
 from core.rig.stability import Moment
 from core.site import MAIN, Site, TargetRole
 from daemon.datum.chain import NOTHING, datum_by
@@ -29,6 +30,9 @@ cent, one lens calibrated again by a fifth of that, and warmth changes less."""
 _SAME_PX = 0.1
 """Of all discs, of references taken at one time: adjustments move the discs of one image by some
 hundredths, and only simulated time comes twice."""
+_LEAST_TRAVEL_MM = 0.1
+"""1 sigma, at least, of how the pair has moved by its last row. Chosen: somebody has worked on it
+since; between targets 1 % apart in distance it is 0.001 mm."""
 _CENTRE_PX = 5.0
 """Of the principal point. Chosen: a lens screwed in again comes back to some ten pixels."""
 
@@ -71,6 +75,8 @@ class SeenRow:
     """From its own calibration's reference."""
     calibration_id: int | None
     targets: tuple[tuple[str, Displacement], ...] = ()
+    motion: RigMotion | None = None
+    """Since the reference of its calibration."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,10 +142,15 @@ def by_old_calibration(
     return candidate(step, known.active.datum, words, doubts), ""
 
 
-def by_fixed_targets(known: Known, new: NewReference, site: Site) -> Candidate | None:
-    """What has moved beside the fixed targets that both references show; None without any."""
+def by_fixed_targets(
+    known: Known, new: NewReference, site: Site, rows: Sequence[SeenRow]
+) -> Candidate | None:
+    """What has moved beside the fixed targets that both references show; None without any.
+
+    By the last rows the pair's own travel since the old reference is known, and so its parallax.
+    """
     old, now = known.active.calibration.calibrated, new.calibration.calibrated
-    moved = through_fixed_targets(old, now, site)
+    moved = through_fixed_targets(old, now, site, _travel(known, new, site, rows))
     if moved is None or MAIN not in moved:
         return None
     before = {target.name for target in old.further if target.is_fixed}
@@ -148,6 +159,20 @@ def by_fixed_targets(known: Known, new: NewReference, site: Site) -> Candidate |
     step = DatumStep(DatumMethod.FIXED_TARGETS, known.id, moved[MAIN], targets)
     words = f"through the fixed target{'s' if len(names) > 1 else ''} {', '.join(names)}"
     return candidate(step, known.active.datum, words)
+
+
+def _travel(known: Known, new: NewReference, site: Site, rows: Sequence[SeenRow]) -> Travel | None:
+    """How the main camera has moved since the old reference, by its last row."""
+    own = [row for row in rows if row.calibration_id == known.id and row.motion is not None]
+    motions = [row.motion for row in own if row.motion is not None]
+    if not motions:
+        return None
+    usual_mm = float(np.linalg.norm(np.std([m.translation_mm for m in motions], axis=0)))
+    share = min(1.0, (new.slot_utc - own[-1].slot_utc) / timedelta(days=1))
+    limit_mm = site.quality.expected_drift_mm
+    sigma_mm = min(limit_mm, max(_LEAST_TRAVEL_MM, usual_mm * share))
+    last = Pose.from_vectors(motions[-1].rotation_rad, motions[-1].translation_mm)
+    return travel_by(known.active.calibration.calibrated, last, sigma_mm)
 
 
 def measured_targets(measured: Measurement) -> list[tuple[str, Displacement]]:

@@ -129,7 +129,7 @@ def _candidates(
             notes.append(why)
         else:
             found.append(old)
-        through = by_fixed_targets(known, new, site)
+        through = by_fixed_targets(known, new, site, rows)
         if through is not None:
             found.append(through)
     by_record = by_rows(rows, datums, new.slot_utc)
@@ -179,6 +179,7 @@ def _stored_rows(store: Store, until_utc: datetime) -> Iterator[SeenRow]:
                 row.measurement.corrected,
                 row.calibration_id,
                 tuple(measured_targets(row.measurement)),
+                row.measurement.motion,
             )
 
 
@@ -197,7 +198,7 @@ def _measured_rows(
         on_step(f"measured {row.slot_utc:%Y-%m-%d %H:%M}")
         if measured.flag is Flag.GOOD and measured.corrected is not None:
             targets = tuple(measured_targets(measured))
-            yield SeenRow(row.slot_utc, measured.corrected, known.id, targets)
+            yield SeenRow(row.slot_utc, measured.corrected, known.id, targets, measured.motion)
 
 
 def _files(directory: Path, row: FrameSetRow) -> PairFiles:
