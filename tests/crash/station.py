@@ -113,7 +113,9 @@ def measured_by_eye() -> Iterator[None]:
 def calibration_by_number(store: Store) -> SimpleNamespace | None:
     """The active calibration as a row names it."""
     record = store.active_calibration()
-    return record and SimpleNamespace(id=record.id, datum=store.datum(record.id))
+    calibration = SimpleNamespace(calibrated=SimpleNamespace(further=()))
+    datum = None if record is None else store.datum(record.id)
+    return record and SimpleNamespace(id=record.id, datum=datum, calibration=calibration)
 
 
 def measure_by_eye(pairs: Sequence[ImagePair], *_: object) -> Measurement:
