@@ -1,4 +1,4 @@
-"""Twenty seasons of rigs that bend at random: without a fixed target the sigma says what it costs."""
+"""Twenty seasons of rigs that bend at random: without a fixed target the sigma holds it."""
 
 from __future__ import annotations
 
