@@ -91,6 +91,11 @@ class Displacement:
     """(2, 2) the part of it that pixels and calibration give, without what may have changed since
     the calibration; None: all of it."""
 
+    @property
+    def by_image_mm2(self) -> FloatArray:
+        """(2, 2) that part, whether or not it is all."""
+        return self.covariance_mm2 if self.image_mm2 is None else self.image_mm2
+
 
 @dataclass(frozen=True, slots=True)
 class Diagnostics:

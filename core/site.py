@@ -163,6 +163,11 @@ class Site:
         return self.main.focal_px / self.main_target.distance_mm
 
     @property
+    def has_fixed_target(self) -> bool:
+        """Whether a target in the main image shows the rig's own error."""
+        return any(extra.role is TargetRole.FIXED for extra in self.extra_targets)
+
+    @property
     def targets(self) -> tuple[CirclesTarget, ...]:
         """All that the main image shows: the main target first, then the further ones."""
         return (self.main_target, *(extra.target for extra in self.extra_targets))

@@ -156,7 +156,7 @@ def _mean(values: Sequence[Displacement], weights: FloatArray | None = None) -> 
     mm = w @ np.array([value.mm for value in values]) / w.sum()
     own = np.mean([_own(value) for value in values], axis=0)
     whole = np.mean([value.covariance_mm2 for value in values], axis=0)
-    images = [v.covariance_mm2 if v.image_mm2 is None else v.image_mm2 for v in values]
+    images = [value.by_image_mm2 for value in values]
     shared, calibration = whole - own, np.mean(images, axis=0) - own
     if len(values) > 1:
         seen = stdtrit(len(values) - 1.0, _ONE_SIGMA) * _spread(values, w)

@@ -15,7 +15,7 @@ import numpy as np
 from core.arrays import FloatArray
 from core.results import Displacement, Measurement, Reason, TargetMeasurement
 from core.rig.calibrated_site import CalibratedSite
-from core.rig.stability import STATE, Moment, main_scale, stability_terms, state_effects
+from core.rig.stability import Moment, main_scale, stability_terms, state_effects, total_covariance
 from core.site import Site, TargetRole
 
 HISTORY_ROWS = 60
@@ -83,7 +83,7 @@ def _moved_alone(
         return False
     last, before = past[-1]
     step_mm = target.corrected.mm - before.mm
-    allowed_mm2 = _own(target.corrected) + _own(before)
+    allowed_mm2 = target.corrected.by_image_mm2 + before.by_image_mm2
     allowed_mm2 += _budget_mm2(target.name, last.moment, moment, site, calibrated)
     allowed_mm2 += _scatter_mm2(np.array([seen.mm for _, seen in past]))
     if float(step_mm @ np.linalg.solve(allowed_mm2, step_mm)) < _BEYOND:
@@ -115,11 +115,6 @@ def _before_closure(measurement: Measurement) -> FloatArray | None:
     return corrected.mm if closure is None else corrected.mm + closure.mm
 
 
-def _own(value: Displacement) -> FloatArray:
-    """Covariance (2, 2) without what may have changed since the calibration."""
-    return value.covariance_mm2 if value.image_mm2 is None else value.image_mm2
-
-
 def _budget_mm2(
     name: str, before: Moment, now: Moment, site: Site, calibrated: CalibratedSite
 ) -> FloatArray:
@@ -128,7 +123,7 @@ def _budget_mm2(
     if target is None:
         return np.zeros((2, 2))
     terms = stability_terms(site, main_scale(calibrated.B), before, now)
-    state = sum((term.covariance for term in terms), np.zeros((STATE, STATE)))
+    state = total_covariance(terms)
     effects = state_effects(target, site.main.centre_px, site.main_target.distance_mm)[:2]
     to_mm = np.linalg.inv(target.B) @ effects
     return np.asarray(to_mm @ state @ to_mm.T)

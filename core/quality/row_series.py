@@ -11,7 +11,7 @@ import numpy as np
 from core.arrays import FloatArray
 from core.geometry.pose import Pose
 from core.quality.residual_ratio import residual_ratio
-from core.results import Displacement, Measurement, Reason
+from core.results import Measurement, Reason
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.propagation import predict_shift
 
@@ -135,7 +135,7 @@ def summarise_row(
     slide_mm = slide_by_translation(calibrated)
     slide_mm2 = slide_mm @ motion.covariance[3:, 3:] @ slide_mm.T
     # A step is judged by what pixels and calibration leave open: rows side by side have aged alike.
-    variances = (_image_mm2(corrected), _image_mm2(corrected), slide_mm2)
+    variances = (corrected.by_image_mm2, corrected.by_image_mm2, slide_mm2)
     closure = measurement.closure
     rig_mm = corrected.mm if closure is None else corrected.mm + closure.mm
     seen_px, contrast = (
@@ -154,12 +154,8 @@ def summarise_row(
         ),
         _ACROSS_ROWS.issuperset(measurement.reasons),
         None if closure is None else closure.mm,
-        None if closure is None else float(np.sqrt(np.diag(_image_mm2(closure)).max())),
+        None if closure is None else float(np.sqrt(np.diag(closure.by_image_mm2).max())),
     )
-
-
-def _image_mm2(value: Displacement) -> FloatArray:
-    return value.covariance_mm2 if value.image_mm2 is None else value.image_mm2
 
 
 def slide_by_translation(calibrated: CalibratedSite) -> FloatArray:

@@ -163,8 +163,7 @@ def judge_motion(calibrated: CalibratedSite, motion: RigMotion, site: Site) -> l
 
 def judge_value(corrected: Displacement, site: Site) -> list[Reason]:
     """Whether the value is too uncertain by its pixels and the calibration."""
-    image_mm2 = corrected.covariance_mm2 if corrected.image_mm2 is None else corrected.image_mm2
-    sigma: FloatArray = np.sqrt(np.diag(image_mm2))
+    sigma: FloatArray = np.sqrt(np.diag(corrected.by_image_mm2))
     return [Reason.SIGMA_TOO_LARGE] if float(sigma.max()) > site.quality.max_sigma_mm else []
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from core.arrays import FloatArray, IntArray
 from core.results import Displacement
 from core.rig.compensation import Shifts
-from core.rig.stability import STATE, Prior, Term, state_effects
+from core.rig.stability import STATE, Prior, Term, state_effects, total_covariance
 from core.site import Site
 
 _MOVED = 30.0
@@ -81,7 +81,7 @@ def joint_shifts(
     """
     to_mm, main_mm = shifts.to_mm, site.main_target.distance_mm
     if prior is None:
-        covariance = sum((term.covariance for term in terms), np.zeros((STATE, STATE)))
+        covariance = total_covariance(terms)
         prior = Prior(np.zeros(STATE), covariance)
     effects = to_mm @ np.concatenate(
         [

@@ -9,7 +9,7 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.rig.learning import predictors
-from core.rig.stability import STATE, Moment, Prior, Term
+from core.rig.stability import STATE, Moment, Prior, Term, total_covariance
 from core.site import Site
 
 _DAY_S = 86_400.0
@@ -55,7 +55,7 @@ class Learnt:
         if turned is None:
             return None
         px_per_urad = 1e-6 * site.main_target.distance_mm * B
-        covariance = sum((term.covariance for term in terms), np.zeros((STATE, STATE)))
+        covariance = total_covariance(terms)
         shift_px2 = px_per_urad @ np.diag(turned[1]) @ px_per_urad.T
         if np.trace(shift_px2) >= np.trace(covariance[:2, :2]):
             return None

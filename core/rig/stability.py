@@ -16,7 +16,7 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.rig.calibrated_target import CalibratedTarget
-from core.site import Site, TargetRole
+from core.site import Site
 
 STATE = 6
 """Shift of the main image (2, px), its roll (rad), relative change of scale, and the air's shift
@@ -100,6 +100,11 @@ class Prior:
     """(6, 6)."""
 
 
+def total_covariance(terms: Sequence[Term]) -> FloatArray:
+    """(6, 6) of the state, by all causes."""
+    return sum((term.covariance for term in terms), np.zeros((STATE, STATE)))
+
+
 def main_scale(B: FloatArray) -> float:
     """px/mm of a target by its B~: the largest singular value, along which it is not tilted."""
     return float(np.linalg.svd(B, compute_uv=False)[0])
@@ -170,7 +175,7 @@ def season_sentence(site: Site, scale_px_per_mm: float, image_mm: float) -> str:
     terms = stability_terms(site, scale_px_per_mm, Moment(0.0, 0.0), later)
     when = f"30 days and {site.stability.temperature_range_k:g} K after the calibration"
     cause = budget_sentence(terms, scale_px_per_mm, image_mm)
-    if any(extra.role is TargetRole.FIXED for extra in site.extra_targets):
+    if site.has_fixed_target:
         return f"{when} the fixed targets keep a row's sigma; while they are hidden {cause}"
     return f"{when} {cause}" if cause else f"{when} a row is as good as its pixels"
 

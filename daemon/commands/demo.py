@@ -207,8 +207,7 @@ def _image_sigma_mm(corrected: Displacement | None) -> FloatArray:
     """(2,) 1 sigma by pixels and calibration; nan without a value."""
     if corrected is None:
         return np.full(2, np.nan)
-    image_mm2 = corrected.covariance_mm2 if corrected.image_mm2 is None else corrected.image_mm2
-    return np.asarray(np.sqrt(np.diag(image_mm2)))
+    return np.asarray(np.sqrt(np.diag(corrected.by_image_mm2)))
 
 
 def draw_figure(

@@ -18,7 +18,7 @@ from core.quality.step_detection import (
 )
 from core.results import Measurement, Reason
 from core.rig.calibrated_site import CalibratedSite
-from core.site import QualityLimits, Site, TargetRole
+from core.site import QualityLimits, Site
 from daemon.slots.measuring import ActiveCalibration
 from daemon.store.database import ALWAYS, Store
 from daemon.store.records import BELIEVED, SLIPPED, MeasurementRecord, PastRows
@@ -136,8 +136,7 @@ def past_rows(
     store: Store, calibration: ActiveCalibration | None, site: Site, slot_utc: datetime
 ) -> list[PastRow]:
     """The last rows before a slot by which fixed targets are judged. Raises StoreError."""
-    fixed = any(extra.role is TargetRole.FIXED for extra in site.extra_targets)
-    if not fixed or calibration is None or calibration.id is None:
+    if not site.has_fixed_target or calibration is None or calibration.id is None:
         return []
     return [
         PastRow(record.moment, record.measurement)
