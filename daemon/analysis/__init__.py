@@ -1,0 +1,1 @@
+"""The series of the record brought to the numerics that analyse them."""

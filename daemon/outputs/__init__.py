@@ -1,0 +1,1 @@
+"""Rows sent on, each once: MQTT, InfluxDB, Prometheus over HTTP."""
