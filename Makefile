@@ -57,7 +57,7 @@ deb: $(VENV)/.stamp-venv
 	@PYTHON=$(PYTHON) deploy/make-deb $(BIN)/python dist
 
 clean:
-	rm -rf $(VENV) out dist build .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) out dist build node_modules daemon/web/static/vendor .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
 # Debian's own Python packages must be seen: the camera library (Aravis) comes with python3-gi only.
 $(VENV)/.stamp-venv:
@@ -68,6 +68,8 @@ $(VENV)/.stamp-venv:
 
 # The `aravis` extra is for other systems: here PyGObject is Debian's, which pip would not accept
 # without compiling pycairo.
-$(INSTALLED): pyproject.toml $(VENV)/.stamp-venv
+$(INSTALLED): pyproject.toml package-lock.json $(VENV)/.stamp-venv
 	$(BIN)/python -m pip install --quiet --editable ".[plot,alarm]" --group dev
+	@[ -f daemon/web/static/vendor/uPlot.iife.min.js ] || echo "dcam: npm's registry was not reached: the page" \
+	  "draws no figures, and its tests fail, until: touch package-lock.json && make venv" >&2
 	@touch $@

@@ -2,6 +2,7 @@
 
 import ast
 import io
+import json
 import re
 import runpy
 import shutil
@@ -19,7 +20,7 @@ from daemon.store.records import GapCause
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("core", "daemon", "drivers", "migrations")
-OUR_SUFFIXES = {".py", ".mako", ".toml", ".xml", ".sql"}
+OUR_SUFFIXES = {".py", ".mako", ".toml", ".xml", ".sql", ".html", ".js", ".css", ".json", ".svg"}
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 CORE_MAY_IMPORT = {
@@ -163,6 +164,20 @@ def test_wheel_has_every_file_of_the_packages(wheel: zipfile.ZipFile) -> None:
         ours = {path.relative_to(ROOT).as_posix() for path in files if path.suffix in OUR_SUFFIXES}
         assert ours <= names
     assert {"migrations/env.py", "migrations/versions/0001_first_tables.py"} <= names
+
+
+def test_wheel_has_what_the_page_takes_from_npm(wheel: zipfile.ZipFile) -> None:
+    """In the version of the lock file, which names no host; the repository has none of it."""
+    lock = (ROOT / "package-lock.json").read_text()
+    version = json.loads(lock)["packages"]["node_modules/uplot"]["version"]
+    vendor = "daemon/web/static/vendor"
+    assert f"(v{version})" in wheel.read(f"{vendor}/uPlot.iife.min.js").decode()[:200]
+    assert {f"{vendor}/uPlot.min.css", f"{vendor}/uPlot.LICENSE"} <= set(wheel.namelist())
+    assert "resolved" not in lock
+    kept = subprocess.run(
+        ["git", "ls-files", vendor, "node_modules"], cwd=ROOT, capture_output=True, check=True
+    )
+    assert kept.stdout == b""
 
 
 def test_wheel_gives_both_programs(wheel: zipfile.ZipFile) -> None:
