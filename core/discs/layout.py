@@ -52,9 +52,10 @@ as uneven light is usual and contrast shall decide only where places and outline
 _PERSPECTIVE_SIGMA = 0.2
 """Of the change of depth over the target, relative to its mean. Chosen: a target tilted by 60
 degrees reaches that from a distance of four times its size, and a bridge's is far beyond."""
-_SCALE_SIGMA = 0.2
-"""Of the natural logarithm of the scale over the one expected. Chosen: it decides between plates of
-which one is half as large, and only where all else leaves the choice open."""
+_SCALE_SIGMA = 0.15
+"""Of the natural logarithm of the scale over the one expected. Chosen: a plate half as large costs
+(log(2) / 0.15)^2 = 21 more, twice _ALIKE, so that it is no rival even where it is a perfect copy
+and the wanted one's outlines are off by a sigma."""
 _WORST = 25.0
 """Cost from which a spot is not this disc: five sigma in one of place and outline."""
 _MISSING = 15.0

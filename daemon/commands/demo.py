@@ -21,6 +21,7 @@ from core.calibration.calibrate import Method
 from core.results import Displacement, Flag
 from daemon.commands.calibrate_head import calibrate_with_head
 from daemon.commands.calibrate_result import judge_and_store
+from daemon.commands.demo_season import DAYS, season
 from daemon.commands.gaps import print_gaps
 from daemon.commands.options import common_options
 from daemon.commands.output import note, print_table, progress, say
@@ -43,6 +44,7 @@ SLOTS = 72
 """A day of the demo's schedule."""
 SITE = Path(__file__).parents[1] / "demo.toml"
 CONFIG, LOG, FIGURE = "dcam.toml", "dcamd.log", "demo.png"
+SEASON, SEASON_FIGURE = "season", "season.png"
 
 
 @click.command("demo", epilog="\b\nExample:\n  dcam-ctl demo --output /tmp/dcam-demo")
@@ -55,7 +57,9 @@ CONFIG, LOG, FIGURE = "dcam.toml", "dcamd.log", "demo.png"
 )
 @common_options
 def command(output: Path | None) -> None:
-    """Calibrate, run dcamd for a day of 72 slots, and compare with the truth; a few minutes.
+    """Calibrate, run dcamd for a day of 72 slots, then a season; compare with the truth.
+
+    It takes a few minutes.
 
     The rig is simulated, 22 m from its target: it drifts, the bridge moves, a camera is lost for
     a while, insects sit on the targets, it snows, night comes. Everything else is the real
@@ -76,6 +80,13 @@ def command(output: Path | None) -> None:
     run_dcamd(site, directory / LOG)
     with open_store_readonly(site.state_directory) as store:
         tell(site, store, directory / FIGURE if has_figure else None)
+    say(f"\n8. The same rig for {DAYS:g} days on steel that bends, without and with a fixed target")
+    season(
+        SITE.read_text(encoding="utf-8"),
+        directory / SEASON,
+        directory / SEASON_FIGURE if has_figure else None,
+    )
+    say(f"\nLook around: dcam-ctl --config {site.config_path} export")
 
 
 def can_draw() -> bool:
@@ -97,7 +108,8 @@ def prepared(output: Path | None) -> Path:
         if not written.is_file() or written.read_bytes() != SITE.read_bytes():
             msg = f"{output}: holds something else than a demo; give an empty or a new directory"
             raise UsageError(msg)
-        shutil.rmtree(output / "state", ignore_errors=True)
+        for earlier in ("state", SEASON):
+            shutil.rmtree(output / earlier, ignore_errors=True)
     output.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(SITE, output / CONFIG)
     return output
@@ -161,7 +173,6 @@ def tell(site: Installation, store: Store, figure: Path | None) -> None:
     if figure is not None:
         draw_figure(rows, gaps, true_mm, figure)
         say(f"\n7. Figure: {figure}")
-    say(f"\nLook around: dcam-ctl --config {site.config_path} export")
     _require_success(facts.coverage_24h.unaccounted, errors)
 
 

@@ -96,13 +96,13 @@ def command(
     source = find_config(options.config_flag)
     _require_possible(load_config(source))  # what is wrong in it is named there, not in the copy
     config = _target(directory)
-    plan = _season_plan(days, rows, rebond=rebond) if days is not None else None
+    plan = season_plan(days, rows, rebond=rebond) if days is not None else None
     text = simulated(source, clock, datetime.now(UTC))
     directory.mkdir(parents=True, exist_ok=True)
     write_durable(config, text.encode())
     shutil.copymode(source, config)
     trial = load_config(config)
-    parts = () if plan is None else _write_season(trial, directory, plan)
+    parts = () if plan is None else write_season_of(trial, directory, plan)
     simulated_parts = f"simulated cameras and head, clock {clock}, nobody in [alarm]"
     note(f"{config}: as {source}, but {simulated_parts}; next:")
     if parts:
@@ -123,7 +123,7 @@ def _require_possible(config: Config) -> None:
         raise ConfigError(msg) from None
 
 
-def _season_plan(days: float, rows: int, *, rebond: bool) -> SeasonPlan:
+def season_plan(days: float, rows: int, *, rebond: bool) -> SeasonPlan:
     """Give the plan of a season. Raises UsageError for more rows than fit."""
     from drivers.sim.season_writer import SeasonPlan
 
@@ -134,7 +134,8 @@ def _season_plan(days: float, rows: int, *, rebond: bool) -> SeasonPlan:
         raise UsageError(msg) from None
 
 
-def _write_season(config: Config, directory: Path, plan: SeasonPlan) -> tuple[Path, ...]:
+def write_season_of(config: Config, directory: Path, plan: SeasonPlan) -> tuple[Path, ...]:
+    """Render a season of the config's simulation; give its frame sets, in time order."""
     from drivers.sim.season_writer import write_season
 
     return write_season(directory, config.site(), config.simulation.settings(), plan).parts

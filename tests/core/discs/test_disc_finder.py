@@ -8,7 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from core.discs.disc_finder import Discs, find_discs
+from core.discs.blobs import Blobs
+from core.discs.disc_finder import Discs, expectation, find_discs, layout_of
+from core.discs.layout import identify_discs
 from core.errors import TargetNotFoundError
 from core.images import GreyImage
 from core.site import CirclesTarget
@@ -48,6 +50,20 @@ def test_named_in_order_at_any_roll_to_40_degrees(target, roll_deg) -> None:
     discs = _find(scene)
     _assert_right(scene, discs)
     assert discs.explained_fraction.min() > 0.97
+
+
+def test_a_copy_about_half_as_large_beside_it_leaves_no_doubt() -> None:
+    """Another plate of the site that the config does not name: smaller, and sharper than ours."""
+    layout = layout_of(TargetScene().target)
+    ours_px = 300.0 + PX_PER_MM * layout.places_mm
+    copy_px = ours_px.max(axis=0) + [80.0, -100.0] + 0.52 * PX_PER_MM * layout.places_mm
+    radii_px = PX_PER_MM * np.concatenate([1.07 * layout.radii_mm, 0.52 * layout.radii_mm])
+    outlines_px = radii_px[:, None, None] * np.eye(2)
+    blobs = Blobs(np.vstack([ours_px, copy_px]), outlines_px, np.full(10, 90.0), np.ones(10))
+    named = identify_discs(blobs, layout, expectation(PX_PER_MM))
+    assert named is not None
+    assert named.unambiguous
+    assert named.spots.tolist() == [0, 1, 2, 3, 4]
 
 
 @pytest.mark.parametrize("diameter_px", [160, 200, 250, 400])

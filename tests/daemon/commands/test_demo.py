@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from core.results import Displacement, Flag, Measurement, Reason, RigMotion
-from daemon.commands import demo
+from daemon.commands import demo, demo_season
 from daemon.config.reading import load_config
 from daemon.reports.figure import GapSpan, draw
 from daemon.reports.series import series_of
@@ -24,12 +24,13 @@ PNG = b"\x89PNG\r\n\x1a\n"
 def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The demo's site on sensors of half the pixels, for its first 24 slots."""
     text = demo.SITE.read_text()
-    for full, half in (("1920", "960"), ("1200\npixel", "600\npixel"), ("5.86", "11.72")):
+    for full, half in demo_season.SMALLER:
         text = text.replace(full, half)
     site = tmp_path / "small.toml"
     site.write_text(text)
     monkeypatch.setattr(demo, "SITE", site)
     monkeypatch.setattr(demo, "SLOTS", 24)
+    monkeypatch.setattr(demo_season, "ROWS", 8)
     return tmp_path / "demo"
 
 
@@ -59,9 +60,22 @@ def test_the_demo_calibrates_runs_and_compares_with_the_truth(ctl: Ctl, small: P
     assert float(table["raw"][0]) > 3.0
     assert float(table["corrected"][0]) < 0.5
     assert (small / "demo.png").read_bytes().startswith(PNG)
+    _assert_the_season_is_told(ran.out, small)
     assert "event=stopped" in (small / "dcamd.log").read_text()
     status = ctl("--config", small / "dcam.toml", "status", "--json", "--at", "2026-03-01T14:00Z")
     assert json.loads(status.out)["coverage_24h"]["unaccounted"] == 0
+
+
+def _assert_the_season_is_told(out: str, directory: Path) -> None:
+    """Steel that bends costs tenths of a millimetre without a fixed target, and none with it."""
+    rms_mm = {
+        line.split(" a fixed target")[0]: float(line.split("target")[1].split()[2])
+        for line in out.splitlines()
+        if line.startswith(("without a fixed target ", "with a fixed target "))
+    }
+    assert rms_mm["without"] > 0.3
+    assert rms_mm["with"] < 0.02
+    assert (directory / "season.png").read_bytes().startswith(PNG)
 
 
 def test_a_directory_with_something_else_in_it_is_left_alone(ctl: Ctl, tmp_path: Path) -> None:
