@@ -35,6 +35,7 @@ COMMANDS = {
     "export": "Write measurements as a table.",
     "plot": "Draw a figure of the record, PNG or SVG.",
     "report": "Write the record of a span as one HTML file.",
+    "compare": "Hold the record against levelling, LiDAR or a model.",
     "backup": "Copy the database while the daemon runs.",
     "redate": "Correct the times of what was taken under a wrong clock.",
     "verify": "Read everything that was recorded, and check it.",

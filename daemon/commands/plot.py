@@ -10,6 +10,7 @@ import click
 from daemon.commands.options import Options, common_options, pass_options, span_options
 from daemon.commands.output import note, progress
 from daemon.commands.output_files import new_file
+from daemon.commands.reference_options import reference_options
 from daemon.errors import UsageError
 from daemon.status.coverage import coverage_text
 from daemon.store.database import open_store_readonly
@@ -26,14 +27,25 @@ SUFFIXES = (".png", ".svg")
     required=True,
     help="Where to draw: a name that ends in .png or .svg.",
 )
+@reference_options()
 @common_options
 @pass_options
-def command(options: Options, since: datetime | None, until: datetime | None, output: Path) -> None:
+def command(
+    options: Options,
+    since: datetime | None,
+    until: datetime | None,
+    output: Path,
+    reference: Path | None,
+    zero: str,
+    window_s: float,
+) -> None:
     """Draw raw and corrected displacement with sigma and flags, the rig's motion, and the gaps.
 
     Of a long span the lowest and the highest value of each column of the picture are drawn, so that
-    every peak shows. The daemon may run meanwhile. Needs dcam's extra `plot`.
+    every peak shows. A reference is drawn over them with its expanded uncertainty (k = 2), in the
+    record's zero. The daemon may run meanwhile. Needs dcam's extra `plot`.
     """
+    from daemon.reports.beside_reference import read_beside
     from daemon.reports.figure import draw, require_matplotlib
     from daemon.reports.history import gap_spans, read_history
 
@@ -51,6 +63,8 @@ def command(options: Options, since: datetime | None, until: datetime | None, ou
             offset_s=schedule.offset_s,
             tell=steps.at,
         )
+        span = history.since_utc, history.until_utc
+        beside = read_beside(store.path, reference, zero, window_s, *span) if reference else None
     title = f"{options.config.name}: displacement of the target"
     with new_file(output) as temporary:
         draw(
@@ -59,5 +73,6 @@ def command(options: Options, since: datetime | None, until: datetime | None, ou
             title,
             temporary,
             file_format=output.suffix.lower()[1:],
+            reference=beside.marks if beside else (),
         )
     note(f"{output}: {coverage_text(history.coverage)}")

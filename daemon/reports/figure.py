@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
+import numpy.typing as npt
 
 from core.arrays import FloatArray
 from daemon.reports.series import Series
@@ -37,6 +38,20 @@ class GapSpan:
     cause: str
 
 
+@dataclass(frozen=True, slots=True)
+class ReferenceMarks:
+    """A reference on one axis of one point, in the record's zero."""
+
+    point: str
+    axis: str
+    times: npt.NDArray[np.datetime64]
+    """(n,) UTC."""
+    values_mm: FloatArray
+    """(n,)."""
+    expanded_mm: FloatArray
+    """(n,) expanded uncertainty, k = 2."""
+
+
 def require_matplotlib() -> None:
     """Raise MissingLibraryError, which says how to install it, unless matplotlib is there."""
     if importlib.util.find_spec("matplotlib") is None:
@@ -50,6 +65,7 @@ def draw(
     title: str,
     output: Path | BinaryIO,
     file_format: str = "png",
+    reference: Sequence[ReferenceMarks] = (),
 ) -> None:
     """Write the figure as `png` or `svg`. Raises MissingLibraryError."""
     require_matplotlib()
@@ -70,6 +86,8 @@ def draw(
     panels = list(figure.subplots(count, 1, sharex=True))
     _displacement(panels[0], series, 1, "vertical y (mm)")
     _displacement(panels[1], series, 0, "horizontal x (mm)")
+    for marks in reference:
+        _reference(panels[0 if marks.axis == "y" else 1], series, marks)
     if known:
         _error(panels[2], series)
     if closed:
@@ -142,6 +160,27 @@ def _displacement(panel: Axes, series: Series, axis: int, label: str) -> None:
         _line(panel, series, mm[:, axis], color=colour, linewidth=1.0, label=name)
     _mark_flags(panel, series, axis)
     panel.set_ylabel(label)
+
+
+def _reference(panel: Axes, series: Series, marks: ReferenceMarks) -> None:
+    """Draw a reference over the line that it belongs to, with its expanded uncertainty."""
+    names = list(series.targets_mm)
+    own = marks.point in names
+    colour = FURTHER[names.index(marks.point) % len(FURTHER)] if own else TRUE
+    times: Any = marks.times
+    panel.errorbar(
+        times,
+        marks.values_mm,
+        yerr=marks.expanded_mm,
+        fmt="D",
+        color=colour,
+        markersize=3.5,
+        markerfacecolor="white",
+        capsize=2.0,
+        linewidth=0.9,
+        zorder=5,
+        label=f"reference{f', {marks.point}' if own else ''} (k = 2)",
+    )
 
 
 def _line(panel: Axes, series: Series, values: FloatArray, **style: Any) -> None:

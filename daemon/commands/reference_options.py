@@ -1,0 +1,61 @@
+"""Options of the commands that hold the record against a reference."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+_SPAN = re.compile(r"(?P<count>\d+(\.\d+)?)(?P<unit>[smhd])")
+_UNIT_S = {"s": 1, "m": 60, "h": 3600, "d": 86400}
+
+
+def span_s(_ctx: click.Context, _parameter: click.Parameter, text: str | None) -> float | None:
+    """Read a span of time, as `10m`, in seconds. Raises click.BadParameter."""
+    if text is None:
+        return None
+    if found := _SPAN.fullmatch(text.strip()):
+        return float(found["count"]) * _UNIT_S[found["unit"]]
+    msg = f"{text!r} is not a span of time; write 90s, 10m, 6h or 2d"
+    raise click.BadParameter(msg)
+
+
+def reference_options(*, required: bool = False) -> Callable[[Function], Function]:
+    """Add `--reference`, `--zero` and `--window`: `reference`, `zero`, `window_s`."""
+
+    def decorate(function: Function) -> Function:
+        for add in (
+            click.option(
+                "--window",
+                "window_s",
+                callback=span_s,
+                default="5m",
+                show_default=True,
+                metavar="SPAN",
+                help="Rows within this of a time of the reference are averaged.",
+            ),
+            click.option(
+                "--zero",
+                type=click.Choice(["free", "fixed"]),
+                default="free",
+                show_default=True,
+                help="free: the two systems have zeros of their own, the mean difference is taken "
+                "off; fixed: they share one.",
+            ),
+            click.option(
+                "--reference",
+                type=click.Path(path_type=Path),
+                metavar="FILE",
+                required=required,
+                help="A CSV of what others measured: time, x_mm, y_mm, sigma_mm, point.",
+            ),
+        ):
+            function = add(function)
+        return function
+
+    return decorate
