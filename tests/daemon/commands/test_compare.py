@@ -1,4 +1,4 @@
-"""`dcam-ctl compare` and `--reference`: a survey beside the record, and clear words if it is none."""
+"""`dcam-ctl compare` and `--reference`: a survey beside the record, or clear words why not."""
 
 from __future__ import annotations
 
