@@ -96,7 +96,7 @@ class Commands(SuggestingGroup):
 def cli(ctx: click.Context) -> None:
     """Operate a dual-camera bridge displacement system.
 
-    Options may stand before or after the command. All times are UTC.
+    Options may stand before or after the command. Times are UTC unless --tz says otherwise.
 
     Exit codes: 0 done, 1 the work failed, 2 usage, 3 config, 4 hardware or I/O, 5 database;
     those of status: 0 OK, 1 warning, 2 critical, 3 unknown.

@@ -12,8 +12,8 @@ import click
 from daemon.alarm.memory import keep_memory, read_memory
 from daemon.alarm.receivers import NotAcceptedError, Receiver, receivers
 from daemon.alarm.rules import Memory, due, seen, text, title, with_sent, wrong
-from daemon.commands.options import Options, at_option, common_options, pass_options
-from daemon.commands.output import note, say
+from daemon.commands.options import Options, at_option, common_options, pass_options, tz_option
+from daemon.commands.output import note, say, shown_zone
 from daemon.config.alarm import AlarmSection, read_remains
 from daemon.config.reading import (
     DEFAULT_STATE_DIRECTORY,
@@ -28,6 +28,7 @@ from daemon.status.facts import collect_facts
 from daemon.status.item import Item
 from daemon.status.verdict import judge, no_verdict
 from daemon.text import utc_text
+from daemon.zones import in_zone
 
 
 @click.command(
@@ -36,6 +37,7 @@ from daemon.text import utc_text
 )
 @click.option("--test", is_flag=True, help="Send a message now, and print who accepted it.")
 @at_option
+@tz_option
 @common_options
 @pass_options
 def command(options: Options, test: bool, at_utc: datetime | None) -> int:
@@ -151,7 +153,7 @@ def _try_all(everyone: Sequence[Receiver], site: str, now_utc: datetime) -> Exit
 
 def _send(receiver: Receiver, headline: str, words: str) -> bool:
     try:
-        receiver.send(headline, words)
+        receiver.send(in_zone(headline, shown_zone()), in_zone(words, shown_zone()))
     except NotAcceptedError as error:
         note(f"alarm.{receiver.name} did not accept {headline!r}: {error}")
         return False

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from daemon.commands.options import Options, common_options, json_option, pass_options
+from daemon.commands.options import Options, common_options, json_option, pass_options, tz_option
 from daemon.commands.output import print_json, progress, say
 from daemon.store.copying import require_replaceable
 from daemon.store.database import open_store_readonly
@@ -23,6 +23,7 @@ _LOWEST_PRIORITY = 19
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--force", is_flag=True, help="Replace FILE also when it is no backup.")
 @json_option
+@tz_option
 @common_options
 @pass_options
 def command(options: Options, file: Path, *, force: bool, as_json: bool) -> None:

@@ -12,7 +12,7 @@ import click
 from core.exposure.exposure_rule import Exposure
 from core.results import Flag, Reason
 from daemon.burst import take_burst
-from daemon.commands.options import Options, common_options, json_option, pass_options
+from daemon.commands.options import Options, common_options, json_option, pass_options, tz_option
 from daemon.commands.output import print_json, say
 from daemon.control.control_socket import ask_daemon
 from daemon.devices import open_clock, open_pair_source
@@ -32,6 +32,7 @@ _TO_CALIBRATE = (
 
 @click.command("capture", epilog="\b\nExample:\n  dcam-ctl capture --json")
 @json_option
+@tz_option
 @common_options
 @pass_options
 def command(options: Options, as_json: bool) -> int:

@@ -17,7 +17,7 @@ from daemon.checks.long_look import check_long
 from daemon.checks.readings import check_readings
 from daemon.checks.record import check_database, check_state
 from daemon.checks.serial_port import check_port_rivals
-from daemon.commands.options import Options, common_options, json_option, pass_options
+from daemon.commands.options import Options, common_options, json_option, pass_options, tz_option
 from daemon.commands.output import print_json, print_table
 from daemon.config.reading import Installation
 from daemon.errors import ExitCode
@@ -38,6 +38,7 @@ from daemon.errors import ExitCode
     "what only the real cameras know; send this with a first report from new hardware.",
 )
 @json_option
+@tz_option
 @common_options
 @pass_options
 def command(options: Options, hardware: bool, is_long: bool, as_json: bool) -> int:

@@ -16,6 +16,7 @@ from daemon.commands.options import (
     json_option,
     pass_options,
     span_options,
+    tz_option,
 )
 from daemon.commands.output import print_json, print_table, say
 from daemon.errors import UsageError, WorkFailedError
@@ -44,6 +45,7 @@ def _number(_ctx: click.Context, _parameter: click.Parameter, value: float | Non
     "  dcam-ctl datum adjust --since 2026-05-15 --until 2026-05-18",
 )
 @json_option
+@tz_option
 @common_options
 @click.pass_context
 def command(ctx: click.Context, as_json: bool) -> None:

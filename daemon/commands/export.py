@@ -16,7 +16,7 @@ from daemon.commands.options import (
     pass_options,
     span_options,
 )
-from daemon.commands.output import note, progress
+from daemon.commands.output import note, progress, shown_zone
 from daemon.commands.output_files import new_file, opened_table
 from daemon.errors import UsageError
 from daemon.store.database import ALWAYS, NEVER, open_store_readonly
@@ -32,10 +32,18 @@ if TYPE_CHECKING:
 @click.option(
     "--format",
     "file_format",
-    type=click.Choice(["csv", "parquet", "netcdf"]),
+    type=click.Choice(["csv", "csv-plain", "parquet", "netcdf"]),
     default="csv",
     show_default=True,
-    help="What to write; parquet and netcdf need dcam's extra of that name.",
+    help="What to write; csv-plain is for spreadsheets: few columns, local time; parquet and "
+    "netcdf need dcam's extra of that name.",
+)
+@click.option(
+    "--decimal",
+    type=click.Choice(["point", "comma"]),
+    default="point",
+    show_default=True,
+    help="Of csv-plain: comma also puts semicolons between columns.",
 )
 @output_option
 @common_options
@@ -45,16 +53,21 @@ def command(
     since: datetime | None,
     until: datetime | None,
     file_format: str,
+    decimal: str,
     output: Path | None,
 ) -> None:
     """Write every slot, one line each, with everything that its row knows; gaps too.
 
     flag: 1 good, 3 suspect (value given, reason named), 4 bad (value withheld), 9 missing. A slot
     in a gap has flag 9, the gap's cause as its reason, and in detail what else is known of it.
-    docs/columns.md explains every column. The daemon may run meanwhile.
+    docs/columns.md explains every column. Times are UTC but in csv-plain, where they are those of
+    --tz. The daemon may run meanwhile.
     """
     from daemon.reports.slot_table import slot_table
 
+    if decimal == "comma" and file_format != "csv-plain":
+        msg = f"--decimal comma is for --format csv-plain, not for {file_format}"
+        raise UsageError(msg)
     span = (since or ALWAYS, until or NEVER)
     # A table on stdout is seen to go on; a bar would be in its way.
     telling = nullcontext(None) if output is None else progress(None, "exporting rows")
@@ -65,6 +78,11 @@ def command(
 
             with opened_table(output) as table:
                 count = write_slots(slots, table)
+        elif file_format == "csv-plain":
+            from daemon.reports.plain import write_plain
+
+            with opened_table(output) as table:
+                count = write_plain(slots, table, shown_zone(), comma=decimal == "comma")
         else:
             count = _write_file(file_format, slots, output, options)
     if output is not None:

@@ -9,15 +9,18 @@ import re
 import stat
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, tzinfo
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
-from daemon.config.reading import Config, Installation, find_installation
+from daemon.commands.output import ZONE, note, shown_zone
+from daemon.config.alarm import read_remains
+from daemon.config.reading import Config, Installation, find_config, find_installation
 from daemon.errors import HardwareError
 from daemon.file_errors import file_error_text
+from daemon.zones import find_zone
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -59,6 +62,23 @@ class Options:
         state = Path(named).absolute()
         _require_usable(state)
         return state
+
+    def zone(self, named: str | None) -> tzinfo:
+        """The zone in which people read times: as named, else [site] timezone, else UTC.
+
+        A config that is missing or wrong elsewhere is no obstacle. Raises ValueError.
+        """
+        if named is not None:
+            return find_zone(named)
+        path = find_config(self.config_flag)
+        remains = read_remains(path)
+        if remains is None or remains.site.timezone is None:
+            return UTC
+        try:
+            return find_zone(remains.site.timezone)
+        except ValueError as error:
+            msg = f"{path}: site.timezone: {error}"
+            raise ValueError(msg) from None
 
 
 def _require_usable(state: Path) -> None:
@@ -116,6 +136,7 @@ def common_options(function: Function) -> Function:
             metavar="DIR",
             callback=_keep,
             expose_value=False,
+            is_eager=True,
             help="Database and frames; else $DCAM_STATE, else [storage] directory.",
         ),
         click.option(
@@ -125,6 +146,7 @@ def common_options(function: Function) -> Function:
             metavar="FILE",
             callback=_keep,
             expose_value=False,
+            is_eager=True,  # it says in which zone times are given
             help="The config; else $DCAM_CONFIG, else /etc/dcam/dcam.toml.",
         ),
     ):
@@ -142,6 +164,34 @@ json_option = click.option(
 )
 
 
+def tz_option(function: Function) -> Function:
+    """Add `--tz ZONE`: times that people read and give are in this zone.
+
+    `say`, `note` and `print_table` write them so by themselves, and `shown_zone` gives it to what
+    draws and writes pages. JSON and files for programs stay UTC.
+    """
+    return click.option(
+        "--tz",
+        callback=_keep_zone,
+        expose_value=False,
+        is_eager=True,  # before the times that are given in it
+        metavar="ZONE",
+        help="Write and read times in this zone: Europe/Berlin, local, UTC; else [site] timezone, "
+        "else UTC. JSON and tables for programs stay UTC.",
+    )(function)
+
+
+def _keep_zone(ctx: click.Context, parameter: click.Parameter, name: str | None) -> None:
+    if name is None and ZONE in ctx.meta:
+        return  # said to the group
+    try:
+        ctx.meta[ZONE] = ctx.ensure_object(Options).zone(name)
+    except ValueError as error:
+        if name is not None:
+            raise click.BadParameter(str(error), ctx, parameter) from None
+        note(f"{error}; times are UTC")  # an alarm must not fail for want of a zone
+
+
 def at_option(function: Function) -> Function:
     """Add `--at TIME`; the command gets it as `at_utc`, or None for now."""
     return click.option(
@@ -149,7 +199,7 @@ def at_option(function: Function) -> Function:
         "at_utc",
         callback=utc_time,
         metavar="TIME",
-        help="Judge as of this time, UTC; default: now.",
+        help="Judge as of this time; default: now.",
     )(function)
 
 
@@ -171,9 +221,10 @@ _UNIT_S = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 604800}
 
 
 def utc_time(_ctx: click.Context, _parameter: click.Parameter, text: str | None) -> datetime | None:
-    """Read a time in UTC: ISO 8601, a date, or how long ago (`90m`, `24h`, `30d`).
+    """Read a time: ISO 8601, a date, or how long ago (`90m`, `24h`, `30d`); give it in UTC.
 
-    A time without a zone is UTC. Raises click.BadParameter.
+    A time without an offset is in the zone of `--tz`, which is UTC unless somebody chose another;
+    of two that a clock shows as it goes back it is the first. Raises click.BadParameter.
     """
     if text is None:
         return None
@@ -188,7 +239,11 @@ def utc_time(_ctx: click.Context, _parameter: click.Parameter, text: str | None)
             "24 hours ago"
         )
         raise click.BadParameter(msg) from None
-    return when.replace(tzinfo=UTC) if when.tzinfo is None else when.astimezone(UTC)
+    try:
+        return (when.replace(tzinfo=shown_zone()) if when.tzinfo is None else when).astimezone(UTC)
+    except OverflowError:
+        msg = f"{text!r} is too far from today"
+        raise click.BadParameter(msg) from None
 
 
 def _span_end(ctx: click.Context, parameter: click.Parameter, text: str | None) -> datetime | None:
@@ -203,17 +258,17 @@ def _span_end(ctx: click.Context, parameter: click.Parameter, text: str | None) 
 
 
 def span_options(function: Function) -> Function:
-    """Add `--since` and `--until`, in this order."""
+    """Add `--since` and `--until`, in this order, and `--tz`, in which they may be given."""
     until = click.option(
         "--until",
         callback=_span_end,
         metavar="TIME",
-        help="Before this time, UTC; default: no end.",
+        help="Before this time; default: no end.",
     )
     since = click.option(
         "--since",
         callback=_span_end,
         metavar="TIME",
-        help="From this time on, UTC: 2026-03-01, 2026-03-01T06:00:00Z, 24h, 30d.",
+        help="From this time on: 2026-03-01, 2026-03-01T06:00:00Z, 24h, 30d.",
     )
-    return since(until(function))
+    return since(until(tz_option(function)))

@@ -9,11 +9,15 @@ import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import UTC, tzinfo
 from typing import TYPE_CHECKING, Any, Protocol
+
+import click
 
 from daemon.store.json_fields import plain
 from daemon.store.records import GapRecord
 from daemon.text import visible
+from daemon.zones import in_zone
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -29,15 +33,30 @@ _NO_LIMIT = 100_000
 """Width of a pipe: a row is one line, whatever it holds."""
 
 
+ZONE = "daemon.zone"
+"""Where a command's context keeps the zone in which people read times."""
+
+
+def shown_zone() -> tzinfo:
+    """The zone in which the command that runs shows times to people; UTC unless it has `--tz`."""
+    context = click.get_current_context(silent=True)
+    zone: tzinfo = context.meta.get(ZONE, UTC) if context else UTC
+    return zone
+
+
+def _readable(text: str) -> str:
+    return visible(in_zone(text, shown_zone()))
+
+
 def say(text: str = "") -> None:
-    """Print a line of data."""
-    print(visible(text))
+    """Print a line of data; times in the zone of `--tz`."""
+    print(_readable(text))
 
 
 def note(text: str) -> None:
     """Print a diagnostic line on stderr."""
     sys.stderr.write(
-        f"dcam-ctl: {visible(text)}\n"
+        f"dcam-ctl: {_readable(text)}\n"
     )  # at once: progress writes from a thread of its own
 
 
@@ -61,7 +80,7 @@ def gap_fields(gap: GapRecord) -> dict[str, object]:
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table, columns two spaces apart; on a pipe a row is one line.
+    """Print a table, times in the zone of `--tz`; on a pipe a row is one line.
 
     On a terminal the widest column is wrapped at spaces; where that leaves it too little, each row
     is a block of lines, `name  value`. Nothing is cut off.
@@ -75,7 +94,7 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     width = size.columns
     forced = None if on_terminal else False
     console = Console(width=width, height=size.lines, force_terminal=forced, highlight=False)
-    lines = [[visible(" ".join(cell.splitlines())) for cell in line] for line in (columns, *rows)]
+    lines = [[_readable(" ".join(cell.splitlines())) for cell in line] for line in (columns, *rows)]
     names, cells = lines[0], lines[1:]
     widest = _widest_column(lines)
     with console.capture() as captured:

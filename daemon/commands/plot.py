@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from daemon.commands.options import Options, common_options, pass_options, span_options
-from daemon.commands.output import note, progress
+from daemon.commands.output import note, progress, shown_zone
 from daemon.commands.output_files import new_file
 from daemon.commands.reference_options import reference_options
 from daemon.errors import UsageError
@@ -74,5 +74,6 @@ def command(
             temporary,
             file_format=output.suffix.lower()[1:],
             reference=beside.marks if beside else (),
+            zone=shown_zone(),
         )
     note(f"{output}: {coverage_text(history.coverage)}")

@@ -10,7 +10,14 @@ from itertools import groupby
 import click
 
 from daemon.clock.machine import read_boot_id, uptime_s
-from daemon.commands.options import Options, common_options, json_option, pass_options, utc_time
+from daemon.commands.options import (
+    Options,
+    common_options,
+    json_option,
+    pass_options,
+    tz_option,
+    utc_time,
+)
 from daemon.commands.output import print_json, print_table, say
 from daemon.errors import ExitCode, UsageError
 from daemon.schedule import Schedule
@@ -47,6 +54,7 @@ class Wanted:
 @click.option("--shift", type=float, metavar="SECONDS", help="True time minus the clock's.")
 @click.option("--dry-run", is_flag=True, help="Tell what would be done; change nothing.")
 @json_option
+@tz_option
 @common_options
 @pass_options
 def command(

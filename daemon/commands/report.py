@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from daemon.commands.options import Options, common_options, pass_options, span_options
-from daemon.commands.output import note, progress
+from daemon.commands.output import note, progress, shown_zone
 from daemon.commands.output_files import new_file
 from daemon.status.coverage import coverage_text
 from daemon.store.database import open_store_readonly
@@ -45,7 +45,7 @@ def command(options: Options, since: datetime | None, until: datetime | None, ou
             offset_s=schedule.offset_s,
             tell=steps.at,
         )
-        page = render(options.installation, store, history)
+        page = render(options.installation, store, history, shown_zone())
     with new_file(output) as temporary:
         temporary.write_text(page, encoding="utf-8")
     note(f"{output}: {coverage_text(history.coverage)}")

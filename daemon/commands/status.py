@@ -7,7 +7,14 @@ from datetime import UTC, datetime
 
 import click
 
-from daemon.commands.options import Options, at_option, common_options, json_option, pass_options
+from daemon.commands.options import (
+    Options,
+    at_option,
+    common_options,
+    json_option,
+    pass_options,
+    tz_option,
+)
 from daemon.commands.output import gap_fields, print_json, print_table, say
 from daemon.status.facts import Facts, collect_facts
 from daemon.status.item import Item, Level, worst
@@ -25,6 +32,7 @@ from daemon.text import utc_text
 )
 @at_option
 @json_option
+@tz_option
 @common_options
 @pass_options
 def command(options: Options, at_utc: datetime | None, as_json: bool) -> int:

@@ -9,7 +9,14 @@ from datetime import datetime
 
 import click
 
-from daemon.commands.options import Options, common_options, json_option, pass_options, utc_time
+from daemon.commands.options import (
+    Options,
+    common_options,
+    json_option,
+    pass_options,
+    tz_option,
+    utc_time,
+)
 from daemon.commands.output import Steps, note, print_json, progress, say
 from daemon.error_report import lines_of
 from daemon.errors import DatabaseDamagedError, DcamError, ExitCode
@@ -36,9 +43,10 @@ _LOWEST_PRIORITY = 19
     "--since",
     callback=utc_time,
     metavar="TIME",
-    help="Slots and frames from this time on, UTC: 2026-03-01, 24h, 30d.",
+    help="Slots and frames from this time on: 2026-03-01, 24h, 30d.",
 )
 @json_option
+@tz_option
 @common_options
 @pass_options
 def command(options: Options, since: datetime | None, *, as_json: bool) -> int:

@@ -26,6 +26,7 @@ class AlarmSection(Section):
 
 class _Name(BaseModel):
     name: str = "?"
+    timezone: str | None = None
 
 
 class _Directory(BaseModel):

@@ -18,6 +18,7 @@ from daemon.config.readings import reading_problems
 from daemon.config.simulation import SimulationSection
 from daemon.errors import ConfigError
 from daemon.file_errors import file_error_text
+from daemon.zones import LOCAL, find_zone
 from drivers.heads.port_name import port_problem
 
 __all__ = [
@@ -117,7 +118,19 @@ def _contradictions(config: Config) -> list[str]:
                 f"[{low:g}, {high:g}]"
             )
     problems += config.simulation.problems(names)
+    problems += _zone_problems(config.site_section.timezone)
     return problems
+
+
+def _zone_problems(name: str | None) -> list[str]:
+    """Name a zone that there is not; whether this computer has one matters to who reads times."""
+    if name is None or name.lower() == LOCAL:
+        return []
+    try:
+        find_zone(name)
+    except ValueError as error:
+        return [f"site.timezone: {error}"]
+    return []
 
 
 def _exposure_problems(config: Config) -> list[str]:

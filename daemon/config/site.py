@@ -66,6 +66,7 @@ class SiteSection(Section):
     """`[site]`."""
 
     name: str = Field(min_length=1)
+    timezone: str | None = Field(default=None, min_length=1)
 
 
 class CameraSection(Section):

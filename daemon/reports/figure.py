@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, tzinfo
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -15,6 +15,7 @@ import numpy.typing as npt
 from core.arrays import FloatArray
 from daemon.reports.series import Series
 from daemon.text import span_text
+from daemon.zones import zone_name
 from drivers.errors import MissingLibraryError
 
 if TYPE_CHECKING:
@@ -66,8 +67,9 @@ def draw(
     output: Path | BinaryIO,
     file_format: str = "png",
     reference: Sequence[ReferenceMarks] = (),
+    zone: tzinfo = UTC,
 ) -> None:
-    """Write the figure as `png` or `svg`. Raises MissingLibraryError."""
+    """Write the figure as `png` or `svg`, its time in a zone. Raises MissingLibraryError."""
     require_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
@@ -101,10 +103,10 @@ def draw(
         _mark_gaps(panel, gaps)
         panel.grid(alpha=0.25, linewidth=0.5)
         panel.legend(loc="upper left", bbox_to_anchor=(1.005, 1.0), fontsize=8, frameon=False)
-    locator = AutoDateLocator()  # type: ignore[no-untyped-call]
+    locator = AutoDateLocator(tz=zone)  # type: ignore[no-untyped-call]
     panels[-1].xaxis.set_major_locator(locator)
-    panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
-    panels[-1].set_xlabel("UTC")
+    panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator, tz=zone))  # type: ignore[no-untyped-call]
+    panels[-1].set_xlabel(zone_name(zone))
     figure.savefig(output, dpi=110, format=file_format)
 
 

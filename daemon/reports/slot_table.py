@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import datetime
 from heapq import merge
 from typing import Any
@@ -56,6 +56,8 @@ class SlotTable:
     batches: Iterator[Columns]
     """Many slots at a time, each with all columns."""
     sensors: tuple[Sensor, ...] = ()
+    roles: Mapping[str, str] = field(default_factory=dict)
+    """Of each further target by its name: fixed or measured."""
 
 
 def slot_table(store: Store, since: datetime, until: datetime, tell: Tell) -> SlotTable:
@@ -65,12 +67,13 @@ def slot_table(store: Store, since: datetime, until: datetime, tell: Tell) -> Sl
     that the rows give them. Raises StoreError; DatabaseDamagedError, at the latest as the batches
     are read, names the first row that is not what was written.
     """
-    targets = list(target_roles(store.path, since, until))
+    roles = target_roles(store.path, since, until)
+    targets = list(roles)
     columns = (column for name in targets for column in columns_of_target(name, TARGET_COLUMNS))
     sensors = sensors_within(store.path, since, until)
     said = (*(sensor.column for sensor in sensors), CAUSES) if sensors else ()
     batches = _batches(store, since, until, tell, targets, sensors)
-    return SlotTable((*COLUMNS[:-1], *columns, *said, DETAIL), batches, sensors)
+    return SlotTable((*COLUMNS[:-1], *columns, *said, DETAIL), batches, sensors, roles)
 
 
 def _batches(
