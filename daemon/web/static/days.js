@@ -1,0 +1,56 @@
+// The days as a filmstrip.
+
+import { el, fill, fixed, getJson, iso, percent, svg, t, table } from "./page.js";
+
+const node = document.getElementById("days");
+const DAYS = 60;
+const DAY_S = 86400;
+const [WIDTH, HEIGHT] = [16, 64];
+
+const bar = (day, low, high) => {
+  if (day.y_mm?.min === null || day.y_mm?.min === undefined) return null;
+  const y = (value) => HEIGHT - (HEIGHT * (value - low)) / (high - low || 1);
+  const tall = Math.max(1.5, y(day.y_mm.min) - y(day.y_mm.max));
+  return svg("svg", { class: "day-bar", viewBox: `0 0 ${WIDTH} ${HEIGHT}`, "aria-hidden": "true" },
+    svg("rect", { class: "extent", x: 5, y: y(day.y_mm.max), width: 6, height: tall }),
+    svg("rect", { class: "middle", x: 1, y: y(day.y_mm.mean) - 0.75, width: 14, height: 1.5 }));
+};
+
+const card = (day, low, high) => {
+  const until = iso(Date.parse(`${day.day}T00:00:00Z`) / 1000 + DAY_S);
+  return el("li", { class: `day flag-edge-${day.flag}` },
+    el("a", { href: `/#since=${day.day}T00:00:00Z&until=${until}` },
+      el("span", { class: "day-name" }, day.day),
+      el("span", { class: "day-row" },
+        day.thumbnail ? el("img", { src: day.thumbnail, alt: "", loading: "lazy" }) : el("span", { class: "no-picture" }, t("no_picture")),
+        bar(day, low, high)),
+      el("span", { class: "hint" }, `${fixed(day.y_mm?.mean, 2)} mm · ${t("complete", { percent: percent(day.completeness) })}`)));
+};
+
+const dayTable = (days) => {
+  const rows = days.map((day) => [day.day,
+    ...["x_mm", "y_mm"].flatMap((axis) => ["min", "mean", "max"].map((part) => fixed(day[axis]?.[part]))),
+    percent(day.completeness), t(`flag_${day.flag}`)]);
+  const columns = [t("day"), ...[t("right_mm"), t("up_mm")].flatMap((axis) => ["minimum", "mean", "maximum"].map((part) => `${axis}, ${t(part)}`)),
+    t("completeness"), t("flag")];
+  return el("details", {}, el("summary", {}, t("table_of", { title: t("title_days") })), table(t("title_days"), columns, rows));
+};
+
+const show = (until) => fill(node, async () => {
+  const { days } = await getJson("/api/days", { since: iso(until - DAYS * DAY_S), until: iso(until) });
+  const there = days.filter((day) => day.y_mm?.min !== null && day.y_mm?.min !== undefined);
+  const low = Math.min(...there.map((day) => day.y_mm.min));
+  const high = Math.max(...there.map((day) => day.y_mm.max));
+  const newest = [...days].sort((a, b) => b.day.localeCompare(a.day));
+  node.replaceChildren(
+    days.length ? el("ul", { class: "film" }, newest.map((day) => card(day, low, high))) : el("p", {}, t("no_days")),
+    el("p", {}, el("button", { type: "button", onclick: () => show(until - DAYS * DAY_S) }, t("older"))),
+    dayTable(newest));
+});
+
+const begin = async () => {
+  const overview = await getJson("/api/overview");
+  const last = Date.parse(overview.span?.last ?? overview.now) / 1000;
+  show(Math.floor(last / DAY_S + 1) * DAY_S);
+};
+fill(node, begin);

@@ -1,0 +1,37 @@
+// Alarms, gaps, ledger and events as tables.
+
+import { below, el, epoch, getJson, iso, t, table, timeElement } from "./page.js";
+
+const page = document.getElementById("events-page");
+const section = (name) => document.getElementById(name);
+
+const link = (start, end) => {
+  const [from, to] = [epoch(start), epoch(end ?? start)];
+  const margin = Math.max(0.5 * (to - from), 1800);
+  return el("a", { href: `/#since=${iso(from - margin)}&until=${iso(to + margin)}` }, t("show_in_record"));
+};
+
+const PARTS = {
+  alarms: (found) => [[t("name"), t("state_word"), t("since"), t("text")],
+    found.map((alarm) => [alarm.name, alarm.state, timeElement(alarm.since), alarm.text])],
+  gaps: (found) => [[t("start"), t("end"), t("slots_missed"), t("cause"), t("detail"), t("record")],
+    found.map((gap) => [timeElement(gap.start), timeElement(gap.end), `${gap.slots}`, gap.cause, gap.detail, link(gap.start, gap.end)])],
+  ledger: (found) => [[t("start"), t("end"), t("kind"), t("author"), t("text"), t("record")],
+    found.map((entry) => [timeElement(entry.start), timeElement(entry.end), entry.kind, entry.author, entry.text, link(entry.start, entry.end)])],
+  events: (found) => [[t("time"), t("kind"), t("detail")],
+    found.map((event) => [timeElement(event.time, "second"), event.kind, event.detail])],
+};
+
+const show = async ([name, make]) => {
+  try {
+    const answer = await getJson(`/api/${name}`);
+    const found = answer[name] ?? [];
+    const [columns, rows] = make(found);
+    below(section(name), found.length ? table(t(`heading_${name}`), columns, rows) : el("p", {}, t("none")));
+  } catch (error) {
+    below(section(name), el("p", { class: "notice" }, t("failed", { text: error.message })));
+  }
+};
+
+await Promise.all(Object.entries(PARTS).map(show));
+page.dataset.state = "ready";

@@ -1,0 +1,423 @@
+// The figures over one span of time: what is shown, how it is moved, which data it asks for.
+
+import { el, epoch, getJson, iso, recall, remember, t, timeText } from "./page.js";
+import { listen } from "./gestures.js";
+import { AXIS_PX, Panel } from "./panel.js";
+import { LANES, readSpans, spansAt, spanText, together } from "./spans.js";
+
+const SHORTEST_S = 60;
+const LONGEST_S = 11 * 366 * 86400;
+const SETTLE_MS = 60;
+const PRESETS = [["1h", 3600], ["24h", 86400], ["7d", 604800], ["30d", 30 * 86400], ["1y", 365 * 86400], ["all", null]];
+const NEAR_PX = 9;
+
+/** The figures that an overview's points and readings allow. */
+export const panelSpecs = (overview, point) => {
+  const line = (quantity, label, more = {}) => ({ quantity, label, ...more });
+  const value = (axis) => line(`${axis}_mm.${point}`, t("line_corrected"), { sigma: `sigma_${axis}_mm.${point}` });
+  const single = (axis) => [line(`raw_${axis}_mm.${point}`, t("line_raw"), { hue: 1 }), line(`${axis}_mm.${point}`, t("line_corrected"), { hue: 0 })];
+  const mm = { unit: "mm", digits: 3 };
+  const celsius = [
+    line("temperature_main_c", t("line_main_camera")), line("temperature_sub_c", t("line_sub_camera")),
+    ...overview.readings.filter(({ unit }) => unit === "degC").map(({ name }) => line(`reading_${name}`, name)),
+  ];
+  const units = [...new Set(overview.readings.map(({ unit }) => unit).filter((unit) => unit !== "degC"))];
+  const measured = overview.points.filter(({ role }) => role !== "fixed");
+  const specs = [
+    { id: "y", title: t("panel_y"), ...mm, lines: [value("y")], height: 210 },
+    { id: "single_y", title: t("panel_single_y"), ...mm, lines: single("y") },
+    ...(overview.points.some(({ role }) => role === "fixed")
+      ? [{ id: "closure", title: t("panel_closure"), ...mm, zero: true, lines: ["x", "y"].map((axis) => line(`closure_${axis}_mm`, axis)) }] : []),
+    { id: "temperature", title: t("panel_temperature"), unit: "°C", digits: 1, least: 0.1, lines: celsius },
+    { id: "x", title: t("panel_x"), ...mm, lines: [value("x")] },
+    { id: "single_x", title: t("panel_single_x"), ...mm, lines: single("x") },
+    { id: "rotation", title: t("panel_rotation"), unit: "mrad", digits: 4, lines: ["rx", "ry", "rz"].map((axis) => line(`${axis}_rad`, axis, { factor: 1000 })) },
+    { id: "translation", title: t("panel_translation"), ...mm, lines: ["tx", "ty", "tz"].map((axis) => line(`${axis}_mm`, axis)) },
+    ...(measured.length > 1
+      ? [{ id: "points_y", title: t("panel_points_y"), ...mm, lines: measured.map(({ name }) => line(`y_mm.${name}`, name)) }] : []),
+    ...units.map((unit) => ({
+      id: `readings_${unit}`, title: t("panel_readings", { unit }), unit, lines: overview.readings
+        .filter((reading) => reading.unit === unit).map(({ name }) => line(`reading_${name}`, name)),
+    })),
+  ];
+  return specs.map((spec) => ({ ...spec, lines: spec.lines.map((entry, k) => ({ hue: k % 6, ...entry })) }));
+};
+
+const DEFAULT_PANELS = ["y", "single_y", "closure", "temperature"];
+
+export class RecordFigure {
+  constructor(node, overview, openSlot) {
+    this.node = node;
+    this.overview = overview;
+    this.openSlot = openSlot;
+    this.first = epoch(overview.span?.first) ?? epoch(overview.now) - 3600;
+    this.last = epoch(overview.span?.last) ?? epoch(overview.now);
+    this.point = "main";
+    this.index = null;
+    this.spans = [];
+    this.makeTools();
+    this.chosen = new Set((recall("panels", null)?.split(" ") ?? DEFAULT_PANELS));
+    const [since, until] = this.fromAddress() ?? [this.last - 7 * 86400, this.last + 60];
+    this.since = since;
+    this.until = until;
+    this.makePanels();
+    addEventListener("resize", () => this.resized());
+    addEventListener("hashchange", () => {
+      const asked = this.fromAddress();
+      if (asked && (asked[0] !== Math.round(this.since) || asked[1] !== Math.round(this.until))) this.go(...asked);
+    });
+    document.addEventListener("zone", () => this.renew());
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.redraw());
+  }
+
+  fromAddress() {
+    const asked = new URLSearchParams(location.hash.slice(1));
+    const since = epoch(asked.get("since"));
+    const until = epoch(asked.get("until"));
+    return since < until ? [since, until] : null;
+  }
+
+  // What stands around the figures
+
+  makeTools() {
+    const button = (text, action, more = {}) => el("button", { type: "button", onclick: action, ...more }, text);
+    const step = (text, label, action) => button(text, action, { "aria-label": label, title: label });
+    this.presets = PRESETS.map(([name, seconds]) => button(t(`span_${name}`), () => this.preset(seconds), { "data-span": name }));
+    this.from = el("input", { type: "date", required: true });
+    this.to = el("input", { type: "date", required: true });
+    this.readout = el("p", { class: "readout" });
+    this.said = el("p", { class: "unseen", "aria-live": "polite" });
+    const points = this.overview.points.filter(({ role }) => role !== "fixed");
+    this.pointSelect = points.length > 1 ? el("label", {}, t("point"), el("select", { onchange: (event) => this.choosePoint(event.target.value) },
+      points.map(({ name }) => el("option", { value: name }, name === "main" ? t("main_point") : name)))) : null;
+    this.choices = el("div", { role: "group", "aria-label": t("panels") });
+    this.lanes = el("div", { class: "lanes" });
+    this.panelBox = el("div", { class: "panels", tabindex: 0, role: "group", "aria-label": t("record"), "aria-describedby": "figure-help", onkeydown: (event) => this.key(event) });
+    const heading = this.node.querySelector("h2");
+    this.node.replaceChildren(heading,
+      el("div", { class: "tools" },
+        el("div", { class: "buttons", role: "group", "aria-label": t("span") }, this.presets),
+        el("div", { class: "buttons" },
+          step("←", t("earlier"), () => this.pan(-0.5)), step("→", t("later"), () => this.pan(0.5)),
+          step("+", t("zoom_in"), () => this.zoom(0.5, 0.5)), step("−", t("zoom_out"), () => this.zoom(2, 0.5))),
+        el("form", { class: "dates", onsubmit: (event) => this.submit(event) },
+          el("label", {}, t("from"), this.from), el("label", {}, t("to"), this.to), el("button", {}, t("go"))),
+        this.pointSelect),
+      el("details", { class: "choices", open: innerWidth > 700 }, el("summary", {}, t("panels")), this.choices), this.readout, this.said, this.lanes, this.panelBox,
+      el("details", { class: "help" }, el("summary", {}, t("help")), el("p", { id: "figure-help" }, t("figure_help"))));
+  }
+
+  makePanels() {
+    const specs = panelSpecs(this.overview, this.point);
+    this.choices.replaceChildren(...specs.map((spec) => el("label", {},
+      el("input", { type: "checkbox", checked: this.chosen.has(spec.id), onchange: (event) => this.choosePanel(spec.id, event.target.checked) }),
+      spec.title)));
+    for (const panel of this.panels ?? []) panel.u.destroy();
+    this.panels = specs.filter(({ id }) => this.chosen.has(id)).map((spec) => new Panel(spec));
+    this.panelBox.replaceChildren(...this.panels.map((panel) => panel.node));
+    for (const panel of this.panels) {
+      panel.start({ setCursor: [(u) => this.pointed(panel, u)] });
+      listen(panel.u.over, {
+        zoom: (factor, share) => this.zoom(factor, share),
+        pan: (share) => this.pan(share),
+        show: (from, to) => this.showSelection(from, to),
+        pick: (from, to) => this.pick(from, to),
+        click: (x, y) => this.clicked(panel, x, y),
+      });
+    }
+    this.answer = null;
+    this.go(this.since, this.until);
+  }
+
+  choosePanel(id, wanted) {
+    if (wanted) this.chosen.add(id);
+    else this.chosen.delete(id);
+    remember("panels", [...this.chosen].join(" "));
+    this.makePanels();
+    this.choices.querySelectorAll("input").forEach((input) => {
+      if (input.checked === wanted && input.parentNode.textContent === this.titleOf(id)) input.focus();
+    });
+  }
+
+  titleOf(id) {
+    return panelSpecs(this.overview, this.point).find((spec) => spec.id === id)?.title;
+  }
+
+  choosePoint(name) {
+    this.point = name;
+    this.makePanels();
+  }
+
+  // Which span is shown
+
+  preset(seconds) {
+    if (seconds === null) this.go(this.first, this.last + 60);
+    else {
+      const until = Math.min(this.until, this.last + 60);
+      this.go(until - seconds, until);
+    }
+  }
+
+  submit(event) {
+    event.preventDefault();
+    const [since, until] = [Date.parse(`${this.from.value}T00:00:00Z`) / 1000, Date.parse(`${this.to.value}T00:00:00Z`) / 1000 + 86400];
+    if (since < until) this.go(since, until);
+  }
+
+  zoom(factor, share) {
+    const span = this.until - this.since;
+    const wanted = Math.min(LONGEST_S, Math.max(SHORTEST_S, factor * span));
+    const since = this.since + share * (span - wanted);
+    this.go(since, since + wanted);
+  }
+
+  pan(share) {
+    const by = share * (this.until - this.since);
+    this.go(this.since + by, this.until + by);
+  }
+
+  pick(from, to) {
+    const span = this.until - this.since;
+    const [a, b] = [Math.min(from, to), Math.max(from, to)].map((share) => Math.min(1, Math.max(0, share)));
+    const middle = this.since + (span * (a + b)) / 2;
+    const half = Math.max(SHORTEST_S, span * (b - a)) / 2;
+    this.go(middle - half, middle + half);
+  }
+
+  showSelection(from, to) {
+    for (const { u } of this.panels) {
+      const width = u.over.clientWidth;
+      const [left, right] = from === null ? [0, 0] : [Math.min(from, to) * width, Math.max(from, to) * width];
+      u.setSelect({ left, width: right - left, top: 0, height: u.over.clientHeight }, false);
+    }
+  }
+
+  /** Show a span: at once with the data that are there, then with its own. */
+  go(since, until) {
+    const span = Math.min(LONGEST_S, Math.max(SHORTEST_S, until - since));
+    const middle = (since + until) / 2;
+    this.since = middle - span / 2;
+    this.until = middle + span / 2;
+    this.node.dataset.state = "loading";
+    this.frame ??= requestAnimationFrame(() => this.draw());
+    clearTimeout(this.timer);
+    if (this.isCovered()) this.settle();
+    else if (this.idle ?? true) this.ask();
+    else this.timer = setTimeout(() => this.ask(), SETTLE_MS);
+  }
+
+  draw() {
+    this.frame = null;
+    for (const panel of this.panels) panel.move(this.since, this.until);
+    this.drawLanes();
+  }
+
+  /** Bucket width for one bucket a pixel. */
+  wantedS() {
+    return (this.until - this.since) / this.widthPx();
+  }
+
+  widthPx() {
+    return Math.max(100, this.panelBox.clientWidth - AXIS_PX - 10);
+  }
+
+  isCovered() {
+    const { answer } = this;
+    return answer && this.asked.since <= this.since && this.until <= this.asked.until && answer.span_s <= 1.5 * this.wantedS();
+  }
+
+  /** Fetch twice the width shown, so that a small move finds its data there. */
+  async ask() {
+    if (!this.panels.length) return this.settle();
+    this.abort?.abort();
+    const { signal } = (this.abort = new AbortController());
+    this.idle = false;
+    const half = (this.until - this.since) / 2;
+    const asked = { since: this.since - half, until: this.until + half };
+    const window = { since: iso(asked.since), until: iso(asked.until) };
+    const quantities = [...new Set(this.panels.flatMap(({ spec }) => spec.lines.flatMap((line) => [line.quantity, line.sigma].filter(Boolean))))];
+    try {
+      const [answer, spans] = await Promise.all([
+        getJson("/api/series", { quantities: quantities.join(","), ...window, buckets: Math.round(2 * this.widthPx()) }, signal),
+        getJson("/api/spans", { ...window, resolution: Math.max(1, Math.round(this.wantedS())) }, signal),
+      ]);
+      this.answer = answer;
+      this.asked = asked;
+      this.spans = readSpans(spans);
+      for (const panel of this.panels) panel.show(answer, this.spans);
+      this.draw();
+      this.tell(t("readout_hint"));
+      this.settle();
+    } catch (error) {
+      if (error.name === "AbortError") return;
+      this.readout.textContent = t("failed", { text: error.message });
+      this.node.dataset.state = "failed";
+    } finally {
+      if (!signal.aborted) this.idle = true;
+    }
+  }
+
+  /** All that need not follow each move: the address, the texts, the tables. */
+  settle() {
+    clearTimeout(this.settling);
+    this.settling = setTimeout(() => {
+      history.replaceState(null, "", `#since=${iso(Math.round(this.since))}&until=${iso(Math.round(this.until))}`);
+      this.from.value = iso(this.since).slice(0, 10);
+      this.to.value = iso(this.until).slice(0, 10);
+      for (const panel of this.panels) panel.describe();
+      this.node.dataset.settled = `${iso(this.since)} ${iso(this.until)}`;
+    }, SETTLE_MS);
+    requestAnimationFrame(() => {
+      if (this.isCovered() || !this.panels.length) this.node.dataset.state = "ready";
+    });
+  }
+
+  renew() {
+    for (const { u } of this.panels) u.redraw(false, true);
+    this.settle();
+    this.drawLanes();
+  }
+
+  redraw() {
+    for (const panel of this.panels) panel.redraw();
+  }
+
+  resized() {
+    for (const panel of this.panels) panel.resize();
+    this.go(this.since, this.until);
+  }
+
+  // Gaps, flags, ledger, events as a row of buttons above the figures
+
+  drawLanes() {
+    const [over] = this.panels.map(({ u }) => u.over);
+    if (!over) return this.lanes.replaceChildren();
+    const box = this.lanes.getBoundingClientRect();
+    const place = over.getBoundingClientRect();
+    const focused = document.activeElement?.dataset?.key;
+    const share = (time) => (Math.min(Math.max(time, this.since), this.until) - this.since) / (this.until - this.since);
+    const near = (NEAR_PX * (this.until - this.since)) / place.width;
+    const rows = LANES.map((lane) => {
+      const marks = together(this.spans, lane, this.since, this.until, near).map((span) => {
+        const mark = el("button", {
+          type: "button", class: `mark mark-${span.kind}`, "aria-label": spanText(span), title: spanText(span), "data-key": `${lane}${span.start}`,
+          onfocus: () => this.tell(spanText(span)), onmouseenter: () => this.tell(spanText(span)),
+          onclick: () => this.zoomTo(span),
+        });
+        mark.style.left = `${100 * share(span.start)}%`;
+        mark.style.width = `${100 * (share(span.end) - share(span.start))}%`;
+        return mark;
+      });
+      if (!marks.length) return null;
+      const track = el("div", { class: "track" }, marks);
+      track.style.marginLeft = `${place.left - box.left}px`;
+      track.style.width = `${place.width}px`;
+      return el("div", { class: "lane", role: "group", "aria-label": t(`lane_${lane}`) }, el("span", { class: "lane-name" }, t(`lane_${lane}`)), track);
+    });
+    this.lanes.replaceChildren(...rows.filter(Boolean));
+    if (focused) this.lanes.querySelector(`[data-key="${focused}"]`)?.focus({ preventScroll: true });
+  }
+
+  zoomTo(span) {
+    const margin = Math.max(0.5 * (span.end - span.start), 1800);
+    this.go(span.start - margin, span.end + margin);
+  }
+
+  // The pointed-at time
+
+  tell(text) {
+    this.readout.textContent = text;
+  }
+
+  textAt(panel, index, seconds) {
+    const spans = spansAt(this.spans, seconds, (panel.step ?? 60) / 2).map((span) => span.text);
+    const time = timeText(seconds, panel.spanS ? "minute" : "second");
+    return [time, panel.reading(index), ...new Set(spans)].filter(Boolean).join(" · ");
+  }
+
+  pointed(panel, u) {
+    if (u.cursor.event === undefined && u.cursor.left < 0) return;
+    const { left, idx } = u.cursor;
+    if (left === undefined || left < 0 || (u.cursor.event?.target !== u.over && u.cursor.event)) return;
+    const seconds = u.posToVal(left, "x");
+    const index = idx !== null && Math.abs((panel.times[idx] ?? Infinity) - seconds) <= panel.step ? idx : null;
+    this.index = idx ?? this.index;
+    this.tell(this.textAt(panel, index, index === null ? seconds : panel.times[index]));
+  }
+
+  key(event) {
+    const actions = {
+      ArrowLeft: () => this.pan(-0.25), ArrowRight: () => this.pan(0.25),
+      "+": () => this.zoom(0.5, 0.5), "=": () => this.zoom(0.5, 0.5), "-": () => this.zoom(2, 0.5),
+      0: () => this.preset(null),
+      Home: () => this.go(this.first, this.first + this.until - this.since),
+      End: () => this.go(this.last - (this.until - this.since), this.last),
+      ",": () => this.stepPoint(-1), ".": () => this.stepPoint(1),
+      Enter: () => this.openPoint(),
+    };
+    const action = event.target === this.panelBox && !event.ctrlKey && !event.metaKey && !event.altKey && actions[event.key];
+    if (!action) return;
+    event.preventDefault();
+    action();
+  }
+
+  stepPoint(by) {
+    const [panel] = this.panels;
+    if (!panel?.times.length) return;
+    const [first, last] = panel.window();
+    const inside = this.index !== null && this.index >= first && this.index < last;
+    let index = inside ? this.index + by : by > 0 ? first : last - 1;
+    while (index >= first && index < last && (panel.lines[0].mean[index] ?? null) === null) index += by;
+    if (index < first || index >= last) return;
+    this.index = index;
+    const time = panel.times[index];
+    for (const { u } of this.panels) u.setCursor({ left: u.valToPos(time, "x"), top: u.over.clientHeight / 2 }, false);
+    const text = this.textAt(panel, index, time);
+    this.tell(text);
+    this.said.textContent = text;
+  }
+
+  openPoint() {
+    const [panel] = this.panels;
+    const value = this.index === null ? null : panel?.lines[0].mean[this.index];
+    if (value !== null && value !== undefined) this.find(panel, 0, this.index, panel.lines[0].max[this.index]);
+  }
+
+  clicked(panel, x, y) {
+    const { u } = panel;
+    const reach = 12 / u.over.clientWidth * (this.until - this.since) + panel.step / 2;
+    const seconds = u.posToVal(x, "x");
+    let best = null;
+    panel.times.forEach((time, index) => {
+      if (Math.abs(time - seconds) > reach) return;
+      const found = panel.nearest(index, y);
+      const distance = found && Math.hypot(u.valToPos(time, "x") - x, found.distance);
+      if (found && (!best || distance < best.distance)) best = { ...found, index, distance };
+    });
+    if (best) this.find(panel, best.k, best.index, best.value);
+    else this.tell(this.textAt(panel, null, seconds) + ` · ${t("nothing_here")}`);
+  }
+
+  /** Open the slot behind a drawn value: in a bucket, the row nearest to the value that was meant. */
+  async find(panel, k, index, value) {
+    const line = panel.spec.lines[k];
+    let time = panel.times[index];
+    let spanS = panel.spanS;
+    while (spanS > 0) {
+      const inside = { since: iso(Math.floor(time - spanS / 2)), until: iso(Math.ceil(time + spanS / 2)) };
+      const answer = await getJson("/api/series", { quantities: line.quantity, ...inside, buckets: 500 });
+      const { value: rows, min, max } = answer.series[line.quantity];
+      const wanted = value / (line.factor ?? 1);
+      const off = (n) => {
+        const [low, high] = rows ? [rows[n], rows[n]] : [min[n], max[n]];
+        return low === null || low === undefined ? Infinity : Math.max(low - wanted, wanted - high, 0);
+      };
+      let best = 0;
+      answer.t.forEach((_, n) => { if (off(n) < off(best)) best = n; });
+      if (!answer.t.length || answer.span_s >= spanS) break;
+      spanS = answer.span_s;
+      time = answer.t[best] + spanS / 2;
+    }
+    this.openSlot(iso(Math.round(time)));
+  }
+}

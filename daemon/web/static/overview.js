@@ -1,0 +1,98 @@
+// The first page: how it is doing, and the record.
+
+import { below, duration, el, getJson, percent, t, table, timeElement, withSigma, flagElement } from "./page.js";
+import { RecordFigure } from "./figure.js";
+import { showSlot, slotKeys } from "./slot_view.js";
+
+const state = document.getElementById("state");
+const figureNode = document.getElementById("figure");
+const dialog = document.getElementById("slot-dialog");
+
+// A slot over the figures
+
+const view = el("section", {});
+dialog.append(el("button", { type: "button", class: "close", onclick: () => dialog.close() }, t("close")), view);
+dialog.addEventListener("keydown", slotKeys(view));
+dialog.addEventListener("click", (event) => { if (event.target === dialog) dialog.close(); });
+const openSlot = (slot) => {
+  if (!dialog.open) dialog.showModal();
+  return showSlot(view, slot, openSlot);
+};
+view.addEventListener("click", (event) => {
+  if (event.target.closest("a[href^='/#']")) dialog.close();
+});
+
+// How it is doing
+
+const lastValues = (last) => {
+  if (!last?.slot) return el("p", {}, t("no_row"));
+  const rows = Object.entries(last.points ?? {}).map(([name, at]) => [
+    name === "main" ? t("main_point") : name,
+    el("strong", {}, withSigma(at.x_mm, at.sigma_x_mm)),
+    el("strong", {}, withSigma(at.y_mm, at.sigma_y_mm)),
+    el("span", {}, flagElement(at.flag), " ", (at.reasons ?? []).join(" + ")),
+  ]);
+  return el("div", {},
+    table(t("last_value"), [t("point"), `${t("right")}, mm`, `${t("up")}, mm`, t("flag")], rows),
+    el("p", { class: "hint" }, timeElement(last.slot), ` · ${duration(last.age_s)}`));
+};
+
+const troubles = (items) => {
+  const wrong = items.filter(({ level }) => level > 0).sort((a, b) => b.level - a.level);
+  const list = wrong.length
+    ? el("ul", { class: "items" }, wrong.map((item) => el("li", { class: `level-${item.level}` },
+      el("strong", {}, item.name), ` ${item.text}`, item.what_to_do ? el("span", { class: "do" }, ` → ${item.what_to_do}`) : null)))
+    : el("p", {}, t("nothing_wrong"));
+  const fine = items.filter(({ level }) => level === 0);
+  return el("div", {}, el("h3", {}, t("wrong")), list,
+    fine.length ? el("details", {}, el("summary", {}, fine.map(({ name }) => name).join(", ")),
+      el("ul", { class: "items" }, fine.map((item) => el("li", {}, el("strong", {}, item.name), ` ${item.text}`)))) : null);
+};
+
+const alarms = (list) => {
+  if (!list?.length) return null;
+  return el("div", {}, el("h3", {}, t("alarms")),
+    el("ul", { class: "items" }, list.map((alarm) => el("li", { class: `alarm-${alarm.state}` },
+      el("strong", {}, alarm.name), ` ${alarm.state} `, alarm.text ?? ""))));
+};
+
+const showState = (overview) => {
+  state.dataset.level = overview.verdict.level;
+  const shares = { h24: percent(overview.coverage?.h24), d30: percent(overview.coverage?.d30) };
+  below(state,
+    el("p", { class: `verdict level-${overview.verdict.level}` }, overview.verdict.word),
+    el("div", { class: "cards" },
+      el("div", {}, el("h3", {}, t("last_value")), lastValues(overview.last),
+        el("p", { class: "hint" }, `${t("coverage")} ${t("coverage_text", shares)}`)),
+      troubles(overview.items ?? []), alarms(overview.alarms)));
+  state.dataset.state = "ready";
+};
+
+const failed = (error) => {
+  below(state, el("p", { class: "notice", role: "alert" }, t("failed", { text: error.message })));
+  state.dataset.state = "failed";
+};
+
+let shown = null;
+const refresh = async () => {
+  let next = 60;
+  try {
+    const overview = await getJson("/api/overview");
+    const text = JSON.stringify(overview);
+    if (text !== shown) showState(overview);
+    shown = text;
+    next = overview.refresh_s ?? next;
+    return overview;
+  } catch (error) {
+    failed(error);
+    return null;
+  } finally {
+    setTimeout(refresh, 1000 * next);
+  }
+};
+
+const overview = await refresh();
+if (overview && !window.uPlot) {
+  below(figureNode, el("p", { class: "notice" }, t("no_chart")));
+  figureNode.dataset.state = "failed";
+} else if (overview) new RecordFigure(figureNode, overview, openSlot);

@@ -1,0 +1,63 @@
+// Spans of the record: gaps, flags, ledger, events. What they say, and where they lie.
+
+import { epoch, t, timeText } from "./page.js";
+
+export const LANES = ["gap", "flag", "ledger", "event"];
+const MOST = 60; // what a keyboard can step through
+
+/** One list of {lane, kind, start, end, text} of an answer of /api/spans. */
+export const readSpans = (answer) => {
+  const found = [];
+  const add = (lane, kind, start, end, text) => {
+    const from = epoch(start);
+    found.push({ lane, kind, start: from, end: Math.max(from, epoch(end) ?? from), text });
+  };
+  for (const gap of answer.gaps ?? []) {
+    const slots = gap.slots ? `, ${t("slots", { count: gap.slots })}` : "";
+    add("gap", "gap", gap.start, gap.end, `${t("gap")}: ${gap.cause}${slots}`);
+  }
+  for (const run of answer.flags ?? []) {
+    const reasons = Array.isArray(run.reasons) ? run.reasons.join(" + ") : run.reasons;
+    add("flag", `flag-${run.flag}`, run.start, run.end, `${t(`flag_${run.flag}`)}: ${reasons}`);
+  }
+  for (const entry of answer.ledger ?? []) {
+    const by = entry.author ? ` (${entry.author})` : "";
+    add("ledger", entry.kind === "exclude" ? "excluded" : "remark", entry.start, entry.end,
+      `${entry.kind}: ${entry.text}${by}`);
+  }
+  for (const datum of answer.datum ?? []) {
+    add("event", "datum", datum.at, datum.at, `${t("calibration")} ${datum.calibration}`);
+  }
+  for (const event of answer.events ?? []) {
+    add("event", "event", event.time ?? event.at, event.time ?? event.at, [event.kind, event.detail].filter(Boolean).join(": "));
+  }
+  return found.sort((a, b) => a.start - b.start);
+};
+
+/** What holds at a moment; `reach` seconds to each side. */
+export const spansAt = (spans, seconds, reach = 0) =>
+  spans.filter((span) => span.start - reach <= seconds && seconds <= span.end + reach);
+
+export const spanText = (span) =>
+  span.end > span.start
+    ? `${span.text} (${t("until_time", { start: timeText(span.start), end: timeText(span.end) })})`
+    : `${span.text} (${timeText(span.start)})`;
+
+/** Spans of one lane in a window, those closer than `near` seconds put together. */
+export const together = (spans, lane, since, until, near) => {
+  const groups = [];
+  for (const span of spans) {
+    if (span.lane !== lane || span.end < since || span.start > until) continue;
+    const last = groups.at(-1);
+    if (last && span.start - last.end < near && last.kind === span.kind) {
+      last.end = Math.max(last.end, span.end);
+      last.count += 1;
+      if (last.texts.length < 3 && !last.texts.includes(span.text)) last.texts.push(span.text);
+    } else groups.push({ ...span, count: 1, texts: [span.text] });
+  }
+  if (groups.length > MOST) return together(spans, lane, since, until, 2 * near + 1);
+  return groups.map((group) => ({
+    ...group,
+    text: group.count === 1 ? group.text : t("several", { count: group.count, text: group.texts.join("; ") }),
+  }));
+};
