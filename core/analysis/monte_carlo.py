@@ -1,0 +1,204 @@
+"""The budget's check: its inputs drawn and carried through the model itself (JCGM 101).
+
+Each trial errs in every calibrated quantity at once, fits the pose of the board again, predicts the
+false shift by its own rig, and takes off what its own fixed targets show. Nothing is linear here
+but the gain of those, which the program takes from its covariances, too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from core.analysis.uncertainty import COVERAGE, Budget, BudgetModel, coverage_factor
+from core.arrays import FloatArray
+from core.checkerboard.resection import BoardView, resect
+from core.geometry.lens import Lens
+from core.rig.calibrated_site import CalibratedSite
+from core.rig.calibrated_target import CalibratedTarget
+from core.rig.propagation import MAIN_GEOMETRY_SHARE, predict_shift_of, turned_B
+from core.rig.rigid import Rig
+from core.rig.stability import total_covariance
+from core.site import MAIN
+
+AGREEMENT = 0.05
+"""Relative difference up to which budget and Monte Carlo agree."""
+
+
+@dataclass(frozen=True, slots=True)
+class MonteCarlo:
+    """What the trials gave, beside the budget; (2,) of x and y."""
+
+    trials: int
+    sigma_mm: FloatArray
+    """Standard deviation of the trials."""
+    half_width_mm: FloatArray
+    """Half of the probabilistically symmetric interval that holds 95.45 % of them."""
+    budget_sigma_mm: FloatArray
+
+    @property
+    def ratio(self) -> FloatArray:
+        """Standard deviation of the trials over the budget's."""
+        return np.asarray(self.sigma_mm / self.budget_sigma_mm)
+
+    @property
+    def interval_ratio(self) -> FloatArray:
+        """Half width over the budget's, for the normal distribution that the inputs have."""
+        return np.asarray(self.half_width_mm / (coverage_factor(math.inf) * self.budget_sigma_mm))
+
+    @property
+    def statistical(self) -> float:
+        """Relative standard error of the trials' standard deviation."""
+        return 1.0 / math.sqrt(2.0 * max(self.trials - 1, 1))
+
+    @property
+    def agrees(self) -> bool:
+        """Whether both axes agree within 5 %."""
+        return bool((np.abs(self.ratio - 1.0) <= AGREEMENT).all())
+
+
+def monte_carlo(
+    budget: Budget,
+    trials: int,
+    rng: np.random.Generator,
+    tell: Callable[[int, int], None] = lambda _done, _total: None,
+) -> MonteCarlo | None:
+    """Draw the inputs of a budget and carry them through the model; None with the paper's method.
+
+    tell hears how many trials are done, and of how many.
+    """
+    model = budget.model
+    if not isinstance(model.calibrated.model, Rig):
+        return None
+    truth = _Truth.of(model)
+    errors = np.empty((trials, 2))
+    for number in range(trials):
+        errors[number] = _trial(model, truth, rng)
+        if number % 100 == 0:
+            tell(number, trials)
+    datum_root = _root(model.datum_mm2)
+    errors += rng.standard_normal((trials, 2)) @ datum_root.T
+    tail = 0.5 * (1.0 - COVERAGE)
+    low, high = np.quantile(errors, [tail, 1.0 - tail], axis=0)
+    return MonteCarlo(
+        trials,
+        errors.std(axis=0, ddof=1),
+        0.5 * (high - low),
+        np.sqrt(np.diag(budget.covariance_mm2)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Truth:
+    """What the images of a row show where nothing errs, and the roots of the covariances."""
+
+    discs_px: tuple[FloatArray, ...]
+    """(n, 2) of each target, at rest."""
+    view: BoardView
+    motion_root: FloatArray
+    state_root: FloatArray
+    corner_roots: FloatArray
+    """(n, 2, 2) of the corners seen."""
+    disc_roots: tuple[FloatArray, ...]
+
+    @classmethod
+    def of(cls, model: BudgetModel) -> _Truth:
+        calibrated = model.calibrated
+        discs = tuple(
+            target.reference_px[c.which] + c.prediction.shift_px
+            for target, c in zip(model.targets, model.combinations, strict=True)
+        )
+        own = calibrated.posterior.own_mm2[model.view.index]
+        return cls(
+            discs,
+            model.view,
+            _root(model.row.motion_covariance),
+            _root(total_covariance(model.terms)),
+            np.array([_root(each) for each in own]),
+            tuple(_root(each) for each in model.disc_px2),
+        )
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """A matrix whose product with its transpose is a covariance, which may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _trial(model: BudgetModel, truth: _Truth, rng: np.random.Generator) -> FloatArray:
+    """(2,) the error of one trial's displacement, mm."""
+    calibrated = _erring(model.calibrated, truth, rng)
+    images = _changed_images(model, truth, rng)
+    pose = resect(
+        calibrated.lens,
+        calibrated.corners_mm,
+        truth.view,
+        model.row.motion.compose(model.calibrated.reference_pose),
+        settled=1e-8,
+    ).pose
+    motion = pose.compose(calibrated.reference_pose.inverse())
+    motion = motion.perturbed(truth.motion_root @ rng.standard_normal(6))
+    values = np.empty(len(model.own_mm))
+    further = {target.name: target for target in calibrated.further}
+    for number, (combination, rows) in enumerate(zip(model.combinations, model.rows, strict=True)):
+        name, which = combination.target.name, combination.which
+        target = calibrated.main_target if name == MAIN else _distance(further[name], rng)
+        prediction = predict_shift_of(calibrated, target, which, motion)
+        noise = rng.standard_normal((len(which), 2)) @ truth.disc_roots[number].T
+        if name != MAIN:
+            sigma_px = np.sqrt(target.reference_px2[which])[:, None]
+            noise = noise + sigma_px * rng.standard_normal((len(which), 2))
+        miss = images[number] + noise - target.reference_px[which] - prediction.shift_px
+        values[rows] = combination.of(miss)
+        mean_px = combination.of(prediction.shift_px)
+        values[rows] += MAIN_GEOMETRY_SHARE * mean_px * rng.standard_normal(len(mean_px))
+        shift = slice(rows.start, rows.start + 2)
+        B = turned_B(calibrated, target, motion)
+        values[shift] = np.linalg.solve(B, values[shift])
+    values += model.own_mm * rng.standard_normal(len(values))
+    return np.asarray(model.keep_mm @ np.linalg.inv(model.to_mm) @ values)
+
+
+def _erring(calibrated: CalibratedSite, truth: _Truth, rng: np.random.Generator) -> CalibratedSite:
+    """A calibration that errs as its posterior says."""
+    posterior, index = calibrated.posterior, truth.view.index
+    z = rng.standard_normal(posterior.lens.shape[1])
+    corners_mm = calibrated.corners_mm + posterior.corners @ z
+    own = truth.corner_roots @ rng.standard_normal((len(index), 2, 1))
+    corners_mm[index, :2] += own[:, :, 0]
+    lens = Lens(calibrated.lens.parameters + posterior.lens @ z, calibrated.lens.model)
+    assert isinstance(calibrated.model, Rig)  # noqa: S101 - else there are no trials
+    return replace(
+        calibrated,
+        corners_mm=corners_mm,
+        lens=lens,
+        reference_pose=calibrated.reference_pose.perturbed(posterior.reference @ z),
+        reference_discs_px=calibrated.reference_discs_px + posterior.discs @ z,
+        model=calibrated.model.perturbed(posterior.model @ z),
+    )
+
+
+def _changed_images(
+    model: BudgetModel, truth: _Truth, rng: np.random.Generator
+) -> list[FloatArray]:
+    """Where the discs are once the state has changed: turned, scaled and shifted."""
+    state = truth.state_root @ rng.standard_normal(len(truth.state_root))
+    centre, main_mm = model.site.main.centre_px, model.site.main_target.distance_mm
+    roll, scale = float(state[2]), 1.0 + float(state[3])
+    turn = scale * np.array([[math.cos(roll), -math.sin(roll)], [math.sin(roll), math.cos(roll)]])
+    return [
+        centre
+        + (points - centre) @ turn.T
+        + state[:2]
+        + state[4:] * (target.distance_mm or main_mm) / main_mm
+        for points, target in zip(truth.discs_px, model.targets, strict=True)
+    ]
+
+
+def _distance(target: CalibratedTarget, rng: np.random.Generator) -> CalibratedTarget:
+    """A further target whose surveyed distance errs."""
+    share = target.distance_sigma_mm / target.distance_mm * rng.standard_normal()
+    return replace(target, distance_mm=target.distance_mm * math.exp(share))
