@@ -1,52 +1,68 @@
-"""Where an alarm keeps what it has sent: beside the database, or in /run while the disk is ill."""
+"""What must outlive a look, and a reboot: what is wrong, and who knows of it."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
-from pydantic import ValidationError
+from pydantic import AwareDatetime, BaseModel, ConfigDict
 
-from daemon.alarm.rules import Memory
-from daemon.durable import write_durable
+from daemon.alarm.kept import keep, read_kept
+from daemon.status.item import Level
 
 FILE_NAME = "alarm.json"
 
 
+class Raised(BaseModel):
+    """An alarm, from when it had lasted long enough until it is over."""
+
+    model_config = ConfigDict(frozen=True, strict=True)
+
+    id: str
+    """Of this time: the next one of the same name has another."""
+    level: Level
+    text: str
+    """As it was when it was raised, or changed its level."""
+    at_utc: AwareDatetime
+    confirmation: str = ""
+    """What a second measurement said."""
+
+
+class Sent(BaseModel):
+    """What one receiver knows of; it has not heard yet that it is over."""
+
+    model_config = ConfigDict(frozen=True, strict=True)
+
+    levels: dict[str, Level]
+    """Of what was wrong when it was sent, by name."""
+    at_utc: AwareDatetime
+
+
+class Memory(BaseModel):
+    """What must outlive a look, and a reboot."""
+
+    model_config = ConfigDict(frozen=True, strict=True)
+
+    since: dict[str, AwareDatetime] = {}
+    """When each thing that is wrong was first seen so."""
+    raised: dict[str, Raised] = {}
+    """Those that have lasted long enough."""
+    limits: dict[str, float] = {}
+    """By the name of a value's alarm, the limit that is exceeded."""
+    held: dict[str, int] = {}
+    """How often in a row a second measurement contradicted an alarm."""
+    sent: dict[str, Sent] = {}
+    """By receiver."""
+    sending: dict[str, str] = {}
+    """By receiver, the message that was begun: whether it arrived is not known."""
+    failed: dict[str, str] = {}
+    """By receiver, the message that it did not take."""
+
+
 def read_memory(state: Path) -> tuple[Memory, str | None]:
     """Give what was kept last, and what was wrong with it: a broken memory is an empty one."""
-    for path in _places(state):
-        try:
-            return Memory.model_validate_json(path.read_bytes()), None
-        except (FileNotFoundError, NotADirectoryError):
-            continue
-        except OSError as error:
-            return Memory(), f"{path}: cannot be read ({error.strerror}): begun again from nothing"
-        except ValidationError:
-            return Memory(), f"{path}: damaged: begun again from nothing"
-    return Memory(), None
+    return read_kept(state, FILE_NAME, Memory)
 
 
 def keep_memory(state: Path, memory: Memory) -> None:
-    """Keep it durably; on a disk that refuses, until the next start of the computer at least.
-
-    Else a disk that turned read-only would be reported at every look. Raises OSError.
-    """
-    *stopgap, path = _places(state)
-    data = memory.model_dump_json().encode() + b"\n"
-    try:
-        write_durable(path, data)
-    except OSError:
-        if not stopgap:
-            raise
-        write_durable(stopgap[0], data)
-    else:
-        for older in stopgap:
-            older.unlink(missing_ok=True)
-
-
-def _places(state: Path) -> list[Path]:
-    """Newest first. systemd names a directory in /run, which lasts from look to look."""
-    runtime = os.environ.get("RUNTIME_DIRECTORY")
-    places = [Path(runtime) / FILE_NAME] if runtime else []
-    return [*places, state / FILE_NAME]
+    """Keep it. Raises OSError."""
+    keep(state, FILE_NAME, memory)

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
+import secrets
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from enum import Enum
 
-from pydantic import AwareDatetime, BaseModel, ConfigDict
-
+from daemon.alarm.history import Happened
+from daemon.alarm.memory import Memory, Raised, Sent
+from daemon.alarm.orders import Orders
+from daemon.alarm.wrong import Wrong, since_text
 from daemon.config.alarm import AlarmSection
-from daemon.status.item import Item, Level, worst
+from daemon.status.item import Level
 from daemon.text import span_text, utc_text
 
 
@@ -18,109 +23,180 @@ class News(Enum):
 
     RAISED = ""
     REPEATED = "still "
-    CLEARED = "all well again"
+    CLEARED = "cleared"
 
 
-class Sent(BaseModel):
-    """What one receiver knows of; it has not heard yet that all is well again."""
+@dataclass(frozen=True, slots=True)
+class Message:
+    """What one receiver must hear now."""
 
-    model_config = ConfigDict(frozen=True, strict=True)
+    news: News
+    id: str
+    """The same as long as the same is to be sent: a receiver can tell a second copy."""
+    listed: dict[str, Raised]
+    """All that is raised and not silenced, the worst first."""
+    fresh: tuple[str, ...]
+    """Of these, what the receiver does not know yet."""
+    cleared: tuple[str, ...]
+    all_well: bool
+    """Nothing is wrong any more."""
 
-    levels: dict[str, Level]
-    """Of what was wrong when it was sent, as far as it still is."""
-    at_utc: AwareDatetime
-
-
-class Memory(BaseModel):
-    """What must outlive a look, and a reboot."""
-
-    model_config = ConfigDict(frozen=True, strict=True)
-
-    since: dict[str, AwareDatetime] = {}
-    """When each item that is wrong was first seen so."""
-    sent: dict[str, Sent] = {}
-    """By receiver."""
-
-
-def wrong(items: Sequence[Item], settings: AlarmSection) -> list[Item]:
-    """Give the items that are bad enough; what is unknown is never an item of a status."""
-    bad = {Level.CRITICAL} | ({Level.WARNING} if settings.level == "warning" else set())
-    return [item for item in items if item.level in bad]
+    @property
+    def names(self) -> str:
+        """Of the alarms that it is about, for the history."""
+        about = [*self.fresh, *self.cleared] or list(self.listed)
+        return ", ".join(about)
 
 
 def seen(
     memory: Memory,
-    items: Sequence[Item],
+    found: Sequence[Wrong],
     now_utc: datetime,
     receivers: Collection[str],
+    settings: AlarmSection,
     *,
+    unknown: Collection[str] = (),
     whole: bool,
 ) -> Memory:
     """Remember what is wrong now, and forget what is not.
 
-    Where not the whole site could be looked at, nothing is known of the rest. A clock that was
-    set back starts the time again.
+    Where not the whole site could be looked at, nothing is known of the rest; `unknown` names
+    single alarms of which nothing is. A clock that was set back starts the time again.
     """
-    now = {item.name for item in items}
+    now = {one.name: one for one in found}
 
     def kept(name: str) -> bool:
-        return name in now or not whole
+        return name in now or name in unknown or not whole
 
     since = {name: min(time, now_utc) for name, time in memory.since.items() if kept(name)}
+    since = dict.fromkeys(now, now_utc) | since
+    after = timedelta(minutes=settings.after_min)
+    raised = {name: known for name, known in memory.raised.items() if kept(name)}
+    for name, one in now.items():
+        known = raised.get(name)
+        if known is not None:
+            if known.level is not one.level:
+                raised[name] = known.model_copy(update={"level": one.level, "text": one.text})
+        elif one.at_once or now_utc - since[name] >= after:
+            number = secrets.token_hex(4)
+            raised[name] = Raised(id=number, level=one.level, text=one.text, at_utc=now_utc)
     sent = {
-        receiver: Sent(
-            levels={name: level for name, level in known.levels.items() if kept(name)},
-            at_utc=min(known.at_utc, now_utc),
-        )
+        receiver: known.model_copy(update={"at_utc": min(known.at_utc, now_utc)})
         for receiver, known in memory.sent.items()
         if receiver in receivers
     }
-    return Memory(since=dict.fromkeys(now, now_utc) | since, sent=sent)
+    return memory.model_copy(update={"since": since, "raised": raised, "sent": sent})
+
+
+def changes(before: Memory, after: Memory, now_utc: datetime) -> list[Happened]:
+    """What the history notes of a look."""
+    noted = []
+    for name, one in after.raised.items():
+        known = before.raised.get(name)
+        if known is None:
+            text = "; ".join(filter(None, (one.text, one.confirmation)))
+            noted.append(Happened(now_utc, "raised", name, one.level, text, id=one.id))
+        elif known.level is not one.level:
+            noted.append(Happened(now_utc, "changed", name, one.level, one.text, id=one.id))
+    for name, known in before.raised.items():
+        if name not in after.raised:
+            lasted = span_text((now_utc - known.at_utc).total_seconds())
+            text = f"after {lasted}"
+            noted.append(Happened(now_utc, "cleared", name, known.level, text, id=known.id))
+    return noted
 
 
 def due(
-    memory: Memory, receiver: str, items: Sequence[Item], settings: AlarmSection, now_utc: datetime
-) -> News | None:
-    """Tell whether a receiver must hear something now; `memory` has seen the items."""
-    after = timedelta(minutes=settings.after_min)
-    lasting = [item for item in items if now_utc - memory.since[item.name] >= after]
+    memory: Memory, receiver: str, orders: Orders, settings: AlarmSection, now_utc: datetime
+) -> Message | None:
+    """Tell what a receiver must hear now; `memory` has seen what is wrong."""
     sent = memory.sent.get(receiver)
     known = sent.levels if sent else {}
-    if any(item.level > known.get(item.name, Level.OK) for item in lasting):
-        return News.RAISED
-    if sent is None:
+    listed = {
+        name: one
+        for name, one in sorted(memory.raised.items(), key=lambda pair: -pair[1].level)
+        if orders.silence_of(name, now_utc) is None
+    }
+    open_ = {name: one for name, one in listed.items() if orders.ack_of(name, one) is None}
+    fresh = tuple(n for n, one in open_.items() if one.level > known.get(n, Level.OK))
+    cleared = tuple(
+        name
+        for name in known
+        if name not in memory.raised and orders.silence_of(name, now_utc) is None
+    )
+    if fresh:
+        news = News.RAISED
+    elif cleared:
+        news = News.CLEARED
+    elif sent and open_ and now_utc - sent.at_utc >= timedelta(hours=settings.repeat_h):
+        news = News.REPEATED
+    else:
         return None
-    if not items:
-        return News.CLEARED
-    if lasting and now_utc - sent.at_utc >= timedelta(hours=settings.repeat_h):
-        return News.REPEATED
-    return None
+    shown = listed if news is not News.CLEARED else {}
+    began = utc_text(sent.at_utc) if sent else ""
+    ids = sorted(f"{one.id}{one.level}" for one in shown.values())
+    said = "\0".join([receiver, news.name, began, *ids, *fresh, *cleared])
+    number = hashlib.sha256(said.encode()).hexdigest()[:8]
+    all_well = not memory.since and not memory.raised
+    return Message(news, number, listed, fresh, cleared, all_well)
 
 
-def with_sent(memory: Memory, receiver: str, items: Sequence[Item], now_utc: datetime) -> Memory:
-    """Remember that a receiver has heard of the items; of none, that all is well again."""
-    others = {name: known for name, known in memory.sent.items() if name != receiver}
-    if items:
-        known = memory.sent[receiver].levels if receiver in memory.sent else {}
-        levels = known | {item.name: item.level for item in items}
-        others[receiver] = Sent(levels=levels, at_utc=now_utc)
-    return Memory(since=memory.since, sent=others)
+def with_sent(memory: Memory, receiver: str, message: Message, now_utc: datetime) -> Memory:
+    """Remember that a receiver has heard a message."""
+    known = memory.sent[receiver].levels if receiver in memory.sent else {}
+    levels = {name: level for name, level in known.items() if name not in message.cleared}
+    levels |= {name: one.level for name, one in message.listed.items()}
+    sent = {name: one for name, one in memory.sent.items() if name != receiver}
+    if levels:
+        sent[receiver] = Sent(levels=levels, at_utc=now_utc)
+    return without_attempt(memory, receiver).model_copy(update={"sent": sent})
 
 
-def title(news: News, site: str, items: Sequence[Item]) -> str:
+def with_attempt(memory: Memory, receiver: str, message: Message) -> Memory:
+    """Remember that a message is being sent: should all end now, it may have arrived."""
+    return memory.model_copy(update={"sending": memory.sending | {receiver: message.id}})
+
+
+def without_attempt(memory: Memory, receiver: str, failed: str | None = None) -> Memory:
+    """Remember that it has arrived, or failed."""
+    sending = {name: one for name, one in memory.sending.items() if name != receiver}
+    failures = {name: one for name, one in memory.failed.items() if name != receiver}
+    if failed is not None:
+        failures[receiver] = failed
+    return memory.model_copy(update={"sending": sending, "failed": failures})
+
+
+def title(message: Message, site: str) -> str:
     """The line that is read first, or alone."""
-    level = worst(list(items)).name if items else ""
-    return f"dcam {site}: {news.value}{level}"
+    if message.news is News.CLEARED:
+        said = "all well again" if message.all_well else f"cleared {', '.join(message.cleared)}"
+        return f"dcam {site}: {said}"
+    level = max(one.level for one in message.listed.values())
+    return f"dcam {site}: {message.news.value}{level.name}"
 
 
-def text(memory: Memory, items: Sequence[Item], now_utc: datetime) -> str:
-    """What is wrong, since when, and what to do about it, as `status` says it."""
-    if not items:
-        return f"Nothing is wrong any more, {utc_text(now_utc.replace(microsecond=0))}."
+def text(
+    memory: Memory,
+    message: Message,
+    found: Sequence[Wrong],
+    orders: Orders,
+    now_utc: datetime,
+    *,
+    again: bool,
+) -> str:
+    """What is wrong, since when, and what to do about it; what is over; how to tell a copy."""
+    now = {one.name: one.text for one in found}
     lines = []
-    for item in items:
-        since = memory.since[item.name].replace(microsecond=0)
+    if message.news is News.CLEARED and message.all_well:
+        lines.append(f"Nothing is wrong any more, {since_text(now_utc)}.")
+    lines += [f"{name}: cleared, {since_text(now_utc)}" for name in message.cleared]
+    for name, one in message.listed.items():
+        since = memory.since.get(name, one.at_utc).replace(microsecond=0)
         lasted = span_text((now_utc - since).total_seconds())
-        level = item.level.name.lower()
-        lines.append(f"{item.name}: {level} since {utc_text(since)} ({lasted}): {item.text}")
-    return "\n".join(lines)
+        said = "; ".join(filter(None, (now.get(name, one.text), one.confirmation)))
+        ack = orders.ack_of(name, one)
+        known = f" (acknowledged by {ack.by})" if ack else ""
+        level = one.level.name.lower()
+        lines.append(f"{name}: {level} since {utc_text(since)} ({lasted}){known}: {said}")
+    doubt = ", sent before perhaps: dcam ended while it was sent" if again else ""
+    return "\n".join([*lines, f"(message {message.id}{doubt})"])

@@ -24,6 +24,7 @@ STATE = "state"
 _LEFT_OUT = (
     ("alarm", "urls"),
     ("alarm", "command"),
+    ("alarm", "reading"),
     ("genicam", "producer"),
     ("replay", "directory"),
     ("simulation", "head_angles"),

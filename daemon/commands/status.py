@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 
 import click
 
+from daemon.alarm.armed import alarm_item
 from daemon.commands.options import (
     Options,
     at_option,
@@ -41,7 +42,7 @@ def command(options: Options, at_utc: datetime | None, as_json: bool) -> int:
     Exit code 0 OK, 1 warning, 2 critical, 3 unknown, as monitoring systems expect it.
     """
     facts = collect_facts(options.config, options.state, at_utc or datetime.now(UTC))
-    items = judge(facts)
+    items = [*judge(facts), alarm_item(options.config, options.state, facts.now_utc)]
     if as_json:
         print_json(status_fields(facts, items))
     else:

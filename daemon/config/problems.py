@@ -13,7 +13,9 @@ from pydantic_core import ErrorDetails
 Location = tuple[int | str, ...]
 
 _UNQUOTED = "alarm"
-"""No value and no unknown key of it is ever quoted."""
+"""No value and no unknown key of it is ever quoted, but of its own tables."""
+_QUOTED = ("value", "rate", "reading")
+"""Of [alarm]: what holds no password."""
 _CREDENTIALS = re.compile(r"://[^/@\s]*@")
 _LONGEST_QUOTE = 200
 
@@ -67,9 +69,13 @@ def describe_problems(error: ValidationError, model: type[BaseModel], path: Path
 def _named(model: type[BaseModel], item: ErrorDetails) -> Location:
     """The location as a message may name it."""
     location = item["loc"]
-    if item["type"] != "extra_forbidden" or location[:1] != (_UNQUOTED,):
+    if item["type"] != "extra_forbidden" or not _is_secret(location):
         return location
     return location if _nearest_name(model, location) else (*location[:-1], "a key (not shown)")
+
+
+def _is_secret(location: Location) -> bool:
+    return location[:1] == (_UNQUOTED,) and location[1:2] not in [(name,) for name in _QUOTED]
 
 
 def _has_wrong_value(location: Location, details: list[ErrorDetails]) -> bool:
@@ -116,7 +122,7 @@ def _describe(item: ErrorDetails, model: type[BaseModel]) -> str:
 
 def _shown(location: Location, value: object) -> str:
     """A value as a message may quote it: those of `[alarm]` hold passwords and tokens."""
-    if location[:1] == (_UNQUOTED,):
+    if _is_secret(location):
         return "something else (not shown here: it may hold a password)"
     text = _CREDENTIALS.sub("://...@", repr(value) if isinstance(value, str) else str(value))
     return text if len(text) <= _LONGEST_QUOTE else f"{text[:_LONGEST_QUOTE]}..."

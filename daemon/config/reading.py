@@ -11,6 +11,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from daemon.config.alarm import alarm_problems
 from daemon.config.model import BURST_SHARE, DEFAULT_STATE_DIRECTORY, Config
 from daemon.config.plausibility import implausible_values
 from daemon.config.problems import describe_problems
@@ -101,6 +102,7 @@ def _contradictions(config: Config) -> list[str]:
     problems += _exposure_problems(config)
     problems += _burst_problems(config)
     problems += reading_problems(config)
+    problems += alarm_problems(config)
     head = config.pan_tilt
     if head.port is not None and (problem := port_problem(head.port)):
         problems.append(f'pan_tilt.port: "{head.port}" {problem}')

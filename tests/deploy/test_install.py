@@ -206,7 +206,7 @@ def test_without_systemd_it_installs_and_says_what_is_left_to_do(tmp_path: Path)
         "Left to do by hand:",
         "make /etc/dcam/dcam.toml your site's",
         "runuser -u dcam -- env NUMBA_CACHE_DIR=/var/cache/dcam/numba dcamd",
-        "every five minutes: runuser -u dcam -- dcam-ctl alarm",
+        "every minute: runuser -u dcam -- dcam-ctl alarm",
         ":/var/lib/dcam:/usr/sbin/nologin",
         "state: dcam 750",
         "/opt/dcam/venv/bin/dcamd\n",

@@ -134,7 +134,7 @@ def test_a_dead_daemon_is_reported_once_again_while_it_lasts_and_when_it_is_over
     site.measure(1)
     look(site, running=False)  # 00:24
     (message,) = inbox.messages()
-    headline, line = message.splitlines()
+    headline, line, _ = message.splitlines()
     assert headline == "dcam bench: CRITICAL"
     reported = (
         "daemon: critical since 2026-03-01T00:09:00Z (15 min): not running, died after 2026-03-0"
@@ -239,7 +239,7 @@ def test_a_disk_that_refuses_the_memory_is_reported_once_per_boot(
     """A directory stands where the memory belongs: not even root can write a file over it."""
     configure(site, f"command = {inbox.command}\nafter_min = 0")
     die(site)
-    runtime = tmp_path / "run"
+    runtime = tmp_path / "dcam-alarm"
     runtime.mkdir()
     in_the_way = site.state / ".alarm.json.tmp"
     in_the_way.mkdir()
@@ -314,7 +314,11 @@ def test_what_was_reported_is_still_known_while_nothing_can_be(site: Site, inbox
     look(site, running=False)
     site.config.write_text(right)
     look(site, running=False)
-    assert inbox.titles() == ["dcam bench: CRITICAL", "dcam bench: UNKNOWN"]
+    assert inbox.titles() == [
+        "dcam bench: CRITICAL",
+        "dcam bench: UNKNOWN",
+        "dcam bench: cleared status",
+    ]
 
 
 def test_a_trial_tells_who_accepted_it_whatever_the_site_is_like(

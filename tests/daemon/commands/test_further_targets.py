@@ -158,7 +158,7 @@ def test_an_alarm_is_raised_for_a_lost_target(site: Site, tmp_path: Any) -> None
     with sole_writer(site.state):
         ran = site.ctl("alarm", "--at", (site.end - MINUTE / 2).isoformat())
     assert ran.code == 0, ran.err
-    assert "target abutment: warning since" in inbox.read_text()
+    assert "target-abutment: warning since" in inbox.read_text()
 
 
 def test_prometheus_is_given_each_target_by_its_name(site: Site) -> None:
