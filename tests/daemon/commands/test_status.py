@@ -314,7 +314,7 @@ def test_first_line_is_what_a_monitoring_system_shows(site: Site) -> None:
     assert "age=30s" in figures.split()
     assert "coverage_24h=100.00%" in figures.split()
     assert header.split() == ["what", "state", "as", "of", "2026-03-01T00:09:30Z"]
-    assert len(rest) == 13
+    assert len(rest) == 14
     assert "\x1b" not in ran.out
     assert "─" not in ran.out
 
