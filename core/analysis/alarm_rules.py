@@ -33,7 +33,9 @@ from core.arrays import FloatArray
 LEAST_ROWS = 3
 """Fewer rows say nothing about a level: the alarm stays as it is."""
 DAY_S = 86_400.0
+"""The cycle that sun and traffic have, and the unit of a rate."""
 BLOCK_S = 3600.0
+"""Of rows that are averaged before a line is fitted."""
 LEAST_BLOCKS = 12
 """With rows, of those of a window: fewer say nothing about a rate."""
 LEAST_SHARE = 0.7
@@ -41,6 +43,7 @@ LEAST_SHARE = 0.7
 CYCLE_FROM_S = 2 * DAY_S
 """Windows that show the daily cycle twice are fitted with it."""
 MOST_CORRELATION = 0.95
+"""Of neighbouring residuals: more cannot be told from a trend in one window."""
 
 
 @dataclass(frozen=True, slots=True)
