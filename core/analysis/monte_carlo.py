@@ -26,6 +26,8 @@ from core.site import MAIN
 
 AGREEMENT = 0.05
 """Relative difference up to which budget and Monte Carlo agree."""
+_BLOCK = 500
+"""Trials after which it is asked whether that is decided, as JCGM 101, 7.9, adds block to block."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,27 +70,31 @@ def monte_carlo(
 ) -> MonteCarlo | None:
     """Draw the inputs of a budget and carry them through the model; None with the paper's method.
 
-    tell hears how many trials are done, and of how many.
+    It ends after `trials`, or before, once the agreement within 5 % is decided by twice the
+    statistical error. tell hears how many trials are done, and of how many.
     """
     model = budget.model
     if not isinstance(model.calibrated.model, Rig):
         return None
     truth = _Truth.of(model)
-    errors = np.empty((trials, 2))
-    for number in range(trials):
-        errors[number] = _trial(model, truth, rng)
-        if number % 100 == 0:
-            tell(number, trials)
     datum_root = _root(model.datum_mm2)
-    errors += rng.standard_normal((trials, 2)) @ datum_root.T
-    tail = 0.5 * (1.0 - COVERAGE)
-    low, high = np.quantile(errors, [tail, 1.0 - tail], axis=0)
-    return MonteCarlo(
-        trials,
-        errors.std(axis=0, ddof=1),
-        0.5 * (high - low),
-        np.sqrt(np.diag(budget.covariance_mm2)),
-    )
+    budget_sigma_mm = np.sqrt(np.diag(budget.covariance_mm2))
+    errors: list[FloatArray] = []
+    while len(errors) < trials:
+        errors.append(_trial(model, truth, rng) + datum_root @ rng.standard_normal(2))
+        tell(len(errors), trials)
+        if len(errors) % _BLOCK == 0 and _is_decided(np.array(errors), budget_sigma_mm):
+            break
+    drawn, tail = np.array(errors), 0.5 * (1.0 - COVERAGE)
+    low, high = np.quantile(drawn, [tail, 1.0 - tail], axis=0)
+    return MonteCarlo(len(drawn), drawn.std(axis=0, ddof=1), 0.5 * (high - low), budget_sigma_mm)
+
+
+def _is_decided(errors: FloatArray, budget_sigma_mm: FloatArray) -> bool:
+    """Whether the ratios are clearly within 5 %, or one of them is clearly not."""
+    away = np.abs(errors.std(axis=0, ddof=1) / budget_sigma_mm - 1.0)
+    doubt = 2.0 / math.sqrt(2.0 * (len(errors) - 1))
+    return bool((away + doubt <= AGREEMENT).all() or (away - doubt > AGREEMENT).any())
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import stats
+from scipy import optimize, stats
 
 from core.arrays import FloatArray
 from core.checkerboard.resection import BoardView
@@ -61,6 +61,8 @@ class RowState:
     """Fixed targets whose closure was taken off."""
     corners: int = 0
     """That the pose rests on."""
+    image_mm2: FloatArray | None = None
+    """(2, 2) the part of its covariance that pixels and calibration give, where it is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,13 +241,6 @@ def row_budget(
     pose = row.motion.compose(calibrated.reference_pose)
     view = expected_view(calibrated, site.sub, pose)
     sensitivities, _ = shift_sensitivities(calibrated, combinations, pose, view, view.whitening())
-    disc_px2 = tuple(_one_disc(calibrated, c, row) for c in combinations)
-    discs = block_diagonal(
-        [
-            np.einsum("mka,ab,lkb->ml", c.sums, px2, c.sums)
-            for c, px2 in zip(combinations, disc_px2, strict=True)
-        ]
-    )
     by_motion = np.concatenate([c.of(c.prediction.by_motion) for c in combinations])
     corners = by_motion @ row.motion_covariance @ by_motion.T
     shared = sensitivities.covariance(calibrated.posterior)
@@ -260,8 +255,17 @@ def row_budget(
         ]
     )
     stability = sum((effects @ t.covariance @ effects.T for t in terms), np.zeros_like(shared))
-    whole = to_mm @ (discs + corners + shared + stability) @ to_mm.T + np.diag(own_mm**2)
-    keep = _keep(whole) @ to_mm
+    parts = _Parts(
+        combinations=tuple(combinations),
+        one_disc_px2=tuple(_one_disc(calibrated, c, row) for c in combinations),
+        others=corners + shared,
+        stability=stability,
+        to_mm=to_mm,
+        own_mm=own_mm,
+    )
+    share = parts.disc_share(row.image_mm2)
+    disc_px2 = tuple(share * px2 for px2 in parts.one_disc_px2)
+    discs, keep = parts.discs(share), parts.keep(share)
     model = BudgetModel(
         site,
         calibrated,
@@ -317,6 +321,60 @@ def row_budget(
             )
         )
     return Budget(tuple(inputs), scale, model)
+
+
+_LEAST_SHARE = 1e-4
+"""Of the scatter that the raw displacement shows, for the discs' own noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Parts:
+    """What the targets' values err by, px and rad."""
+
+    combinations: tuple[DiscCombination, ...]
+    one_disc_px2: tuple[FloatArray, ...]
+    """(2, 2) of a disc of each target as the raw displacement has it: at most."""
+    others: FloatArray
+    """(m, m) of the corners and the calibration."""
+    stability: FloatArray
+    """(m, m)."""
+    to_mm: FloatArray
+    own_mm: FloatArray
+
+    def discs(self, share: float) -> FloatArray:
+        """(m, m) of the discs' noise."""
+        return block_diagonal(
+            [
+                share * np.einsum("mka,ab,lkb->ml", c.sums, px2, c.sums)
+                for c, px2 in zip(self.combinations, self.one_disc_px2, strict=True)
+            ]
+        )
+
+    def keep(self, share: float) -> FloatArray:
+        """(2, m) from the values to the displacement: inv(B~), and the gain of fixed targets."""
+        whole = self.discs(share) + self.others + self.stability
+        covariance = self.to_mm @ whole @ self.to_mm.T + np.diag(self.own_mm**2)
+        return np.asarray(_keep(covariance) @ self.to_mm)
+
+    def disc_share(self, image_mm2: FloatArray | None) -> float:
+        """What of the raw scatter is the discs' own noise, so that the row's image part comes out.
+
+        A roll of the rig scatters raw discs, too, and is taken off before they are corrected.
+        """
+        if image_mm2 is None:
+            return 1.0
+
+        def excess(log_share: float) -> float:
+            share = math.exp(log_share)
+            keep = self.keep(share)
+            return float(np.trace(keep @ (self.discs(share) + self.others) @ keep.T - image_mm2))
+
+        least = math.log(_LEAST_SHARE)
+        if excess(0.0) <= 0.0:
+            return 1.0
+        if excess(least) >= 0.0:
+            return _LEAST_SHARE
+        return math.exp(float(optimize.brentq(excess, least, 0.0, xtol=1e-3)))
 
 
 def _estimated() -> float:

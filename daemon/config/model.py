@@ -17,6 +17,7 @@ from pydantic import Field, PrivateAttr, Strict
 from core.site import Site, StabilityBudget
 from daemon.config.alarm import AlarmSection
 from daemon.config.readings import MOST_READINGS, ReadingSection
+from daemon.config.report import ReportSection
 from daemon.config.simulation import SimulationSection
 from daemon.config.site import (
     CamerasSection,
@@ -215,6 +216,7 @@ class Config(Section):
     storage: StorageSection = StorageSection()
     retention: RetentionSection = RetentionSection()
     alarm: AlarmSection = AlarmSection()
+    report: ReportSection = ReportSection()
     log: LogSection = LogSection()
     replay: ReplaySection = ReplaySection()
     simulation: SimulationSection = SimulationSection()

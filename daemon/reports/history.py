@@ -22,6 +22,7 @@ from daemon.store.records import Coverage, GapRecord
 from daemon.store.sensors import Sensor, sensor_columns, sensors_within
 from daemon.store.targets import columns_of_target, values_of_targets
 from daemon.text import utc_text
+from daemon.times import EPOCH, utc_array
 
 MOST_POINTS = 2 * BINS
 """More rows than this are drawn as their envelope."""
@@ -78,6 +79,19 @@ class ReadingSummary:
 
 
 @dataclass(frozen=True, slots=True)
+class GoodRows:
+    """How certain the good rows are, by the worse of both axes."""
+
+    rows: int
+    median_slot_utc: datetime
+    """Of a row with the median sigma."""
+    median_sigma_mm: float
+    p95_sigma_mm: float
+    """That 95 % of them do not exceed."""
+    largest_sigma_mm: float
+
+
+@dataclass(frozen=True, slots=True)
 class History:
     """A stretch of the record."""
 
@@ -88,6 +102,8 @@ class History:
     gaps: tuple[GapRecord, ...]
     series: Series
     months: tuple[Month, ...]
+    good: GoodRows | None
+    """None without any."""
     closures: tuple[ClosureMonth, ...]
     targets: tuple[TargetHistory, ...]
     """The further targets that rows name."""
@@ -130,6 +146,7 @@ def read_history(
         gaps=tuple(store.gaps(since_utc, until_utc)),
         series=drawn.series(),
         months=summary.months(),
+        good=summary.good(),
         closures=summary.closures(),
         targets=summary.targets(),
         reasons=tuple(summary.reasons.most_common()),
@@ -163,7 +180,7 @@ def _span(
 
 
 class Summary:
-    """Figures of rows as they come: 32 bytes of each good one are kept."""
+    """Figures of rows as they come: 48 bytes of each good one are kept."""
 
     def __init__(self, roles: Mapping[str, str]) -> None:
         self._roles = roles
@@ -173,6 +190,7 @@ class Summary:
         self.reasons: Counter[str] = Counter()
         self.calibrations: set[int] = set()
         self._months: dict[str, array[float]] = {}
+        self._slots, self._sigmas = array("q"), array("d")
 
     def add(self, rows: Columns) -> None:
         """Take rows, in the order of their slots."""
@@ -181,6 +199,9 @@ class Summary:
         self.calibrations.update(set(rows.values["calibration_id"]) - {None})
         good = np.array(rows.values["flag"]) == Flag.GOOD
         values = rows.numbers(*_VALUES)
+        slots_us = utc_array(rows.values["slot_utc"]).astype(np.int64)
+        self._slots.frombytes(slots_us[good].tobytes())
+        self._sigmas.frombytes(values[good, 2:].max(axis=1).tobytes())
         closures = rows.numbers(*(f"closure_{name}" for name in _VALUES))
         closed = np.isfinite(closures[:, 0])
         months = np.array([slot[:7] for slot in rows.values["slot_utc"]])
@@ -206,6 +227,21 @@ class Summary:
         """The good rows by month."""
         months = {name: np.array(kept).reshape(-1, 4) for name, kept in self._months.items()}
         return tuple(_month(name, values) for name, values in months.items() if len(values))
+
+    def good(self) -> GoodRows | None:
+        """How certain the good rows are."""
+        if not self._sigmas:
+            return None
+        sigmas = np.array(self._sigmas)
+        order = np.argsort(sigmas, kind="stable")
+        middle = int(order[(len(order) - 1) // 2])
+        return GoodRows(
+            rows=len(sigmas),
+            median_slot_utc=EPOCH + timedelta(microseconds=self._slots[middle]),
+            median_sigma_mm=float(sigmas[middle]),
+            p95_sigma_mm=float(np.quantile(sigmas, 0.95)),
+            largest_sigma_mm=float(sigmas.max()),
+        )
 
     def closures(self) -> tuple[ClosureMonth, ...]:
         """The closures by month."""

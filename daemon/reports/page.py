@@ -1,73 +1,130 @@
-"""The page of `dcam-ctl report`."""
+"""The report for the client: one document, as an HTML page that needs nothing else and as PDF."""
 
 from __future__ import annotations
 
 import base64
-import importlib.util
-import io
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime, tzinfo
-from functools import partial
 from pathlib import Path
 
 from jinja2 import Environment, StrictUndefined
 
 from daemon.config.reading import Installation
-from daemon.reports.figure import draw
-from daemon.reports.history import History, gap_spans
-from daemon.status.coverage import coverage_text
+from daemon.reports import sections
+from daemon.reports.beside_reference import Beside, read_beside
+from daemon.reports.document import Block, Document
+from daemon.reports.history import History, read_history
+from daemon.reports.statement import TRIALS, Statement, make_statement
+from daemon.reports.statement_blocks import statement_blocks
 from daemon.status.facts import collect_facts
-from daemon.status.item import worst
 from daemon.status.verdict import judge
+from daemon.store.columns import Tell
 from daemon.store.database import Store
-from daemon.store.datum_fields import offset_text
-from daemon.text import span_text
-from daemon.version import VERSION
-from daemon.zones import in_zone, zone_name, zone_text
 
-_TEMPLATE = Path(__file__).with_name("page.html.j2")
-MOST_LINES = 200
-"""Of gaps and events; the page says how many more there are, and which command lists them."""
+_TEMPLATE = Path(__file__).with_name("document.html.j2")
 
 
-def render(site: Installation, store: Store, history: History, zone: tzinfo = UTC) -> str:
-    """Make the page, its times in a zone. Raises StoreError, OSError."""
-    facts = collect_facts(site.config, site.state_directory, datetime.now(UTC))
-    items = judge(facts)
-    events = store.events(history.since_utc, history.until_utc)
-    environment = Environment(autoescape=True, undefined=StrictUndefined)
-    environment.filters |= {
-        "when": partial(zone_text, zone=zone),
-        "shown": partial(in_zone, zone=zone),
-        "span": span_text,
-        "offset": offset_text,
-    }
-    return environment.from_string(_TEMPLATE.read_text(encoding="utf-8")).render(
-        site=site.config.name,
-        version=VERSION,
-        zone=zone_name(zone),
-        now_utc=facts.now_utc.replace(microsecond=0),
-        history=history,
-        coverage=coverage_text(history.coverage),
-        level=worst(items).name,
-        items=[(item.name, item.level.name.lower(), in_zone(item.text, zone)) for item in items],
-        figure=_figure(site.config.name, history, zone),
-        months=history.months,
-        reasons=history.reasons,
-        gaps=history.gaps[-MOST_LINES:],
-        more_gaps=max(len(history.gaps) - MOST_LINES, 0),
-        events=events[-MOST_LINES:],
-        more_events=max(len(events) - MOST_LINES, 0),
-        calibrations=[
-            (store.calibration(number), store.datum(number)) for number in history.calibrations
-        ],
-        config_hash=site.config.config_hash(),
+@dataclass(frozen=True, slots=True)
+class ReportPlan:
+    """What a report is to be of."""
+
+    since: datetime | None
+    until: datetime | None
+    zone: tzinfo = UTC
+    reference: Path | None = None
+    zero: str = "free"
+    window_s: float = 300.0
+    trials: int = TRIALS
+    formats: tuple[str, ...] = ("html", "pdf")
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """A report, and what it rests on."""
+
+    document: Document
+    history: History
+
+
+def make_report(
+    site: Installation,
+    store: Store,
+    plan: ReportPlan,
+    tell: Tell = lambda _done, _total: None,
+    begin: Callable[[str], None] = lambda _what: None,
+) -> Report:
+    """Read the record once and put the report together.
+
+    tell hears how far a piece of work has come, begin which one begins. Raises StoreError, OSError,
+    WorkFailedError if there are no slots or the reference cannot be used.
+    """
+    schedule = site.config.schedule
+    history = read_history(
+        store,
+        plan.since,
+        plan.until,
+        period_s=schedule.period_s,
+        offset_s=schedule.offset_s,
+        tell=tell,
     )
+    beside = None
+    if plan.reference is not None:
+        span = history.since_utc, history.until_utc
+        beside = read_beside(store.path, plan.reference, plan.zero, plan.window_s, *span)
+    begin("checking the uncertainty")
+    statement = _statement(site, store, history, plan, tell)
+    begin("drawing")
+    blocks = tuple(_blocks(site, store, history, plan, beside, statement))
+    words = sections.Words(plan.zone)
+    span_text = f"{words.when(history.since_utc)} to {words.when(history.until_utc)}"
+    title = f"{site.config.name}: {span_text}"
+    return Report(Document(site.config.name, title, blocks), history)
 
 
-def _figure(site: str, history: History, zone: tzinfo) -> str | None:
-    """The figure as a data URL; None where matplotlib is not installed."""
-    if importlib.util.find_spec("matplotlib") is None:
-        return None
-    file = io.BytesIO()
-    draw(history.series, gap_spans(history.gaps), f"{site}: displacement", file, zone=zone)
-    return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
+def _statement(
+    site: Installation, store: Store, history: History, plan: ReportPlan, tell: Tell
+) -> Statement | str:
+    if history.good is None:
+        return "the span has no good row"
+    config = site.config
+    slot_utc = history.good.median_slot_utc
+    return make_statement(store, config.site(), config.config_hash(), slot_utc, tell, plan.trials)
+
+
+def _blocks(
+    site: Installation,
+    store: Store,
+    history: History,
+    plan: ReportPlan,
+    beside: Beside | None,
+    statement: Statement | str,
+) -> Iterator[Block]:
+    config, words = site.config, sections.Words(plan.zone)
+    facts = collect_facts(config, site.state_directory, datetime.now(UTC))
+    pictures: Sequence[str] = [{"html": "svg"}.get(one, one) for one in plan.formats]
+    yield from sections.head(config, history, words, facts.now_utc.replace(microsecond=0))
+    yield from sections.figure(config, history, words, beside, pictures)
+    yield from sections.values(history)
+    yield from sections.site_and_method(config)
+    yield from sections.completeness(history, words)
+    yield from sections.reference(beside)
+    found = [(store.calibration(number), store.datum(number)) for number in history.calibrations]
+    yield from sections.calibrations(found, config.config_hash(), words)
+    yield from statement_blocks(
+        statement,
+        history.good,
+        words.when,
+        config.report.traceability,
+        config.site().main_target.distance_mm,
+    )
+    yield from sections.events(store.events(history.since_utc, history.until_utc), words)
+    yield from sections.state(judge(facts), words)
+
+
+def write_html(document: Document) -> str:
+    """Make the page."""
+    environment = Environment(autoescape=True, undefined=StrictUndefined)
+    environment.filters["base64"] = lambda content: base64.b64encode(content).decode("ascii")
+    template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
+    return template.render(document=document)

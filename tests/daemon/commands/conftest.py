@@ -28,7 +28,7 @@ from daemon.store.records import (
     Reading,
 )
 from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
-from drivers.sim.settings import SimSettings
+from drivers.sim.settings import SimPlate, SimSettings
 from tests.laboratory import laboratory
 from tests.shared import shared_directory
 
@@ -120,6 +120,64 @@ def edit_table(directory: Path, change: Callable[[list[str]], list[str]]) -> Non
     """Rewrite `frames.csv` of a set, line by line."""
     table = directory / "frames.csv"
     table.write_text("\n".join(change(table.read_text().splitlines())) + "\n")
+
+
+FURTHER = """
+[[target.extra]]
+name = "span-2"
+role = "measured"
+kind = "circles"
+centres_mm = [[-8.0, 7.0], [8.0, 7.0], [-3.0, -7.0], [8.0, -7.0]]
+diameter_mm = 7.0
+distance_mm = 11200.0
+distance_sigma_mm = 20.0
+
+[[target.extra]]
+name = "abutment"
+role = "fixed"
+kind = "circles"
+centres_mm = [[-8.0, 10.0], [8.0, 10.0], [-3.0, -10.0]]
+diameter_mm = 7.0
+distance_mm = 11500.0
+distance_sigma_mm = 20.0
+"""
+HIDDEN_MIN = ((1.5, 2.5), (170.0, 190.0))
+"""Slot 2 of a running dcamd, and the last one of the frame set."""
+PLATES = (
+    SimPlate("span-2", offset_mm=(-53.0, 0.0), bridge_factor=0.5),
+    SimPlate("abutment", offset_mm=(53.0, 0.0), hidden_min=HIDDEN_MIN),
+)
+RUNNING = f"""
+[[simulation.plates]]
+name = "span-2"
+offset_mm = [-53.0, 0.0]
+bridge_factor = 0.5
+
+[[simulation.plates]]
+name = "abutment"
+offset_mm = [53.0, 0.0]
+hidden_min = {[list(span) for span in HIDDEN_MIN]}
+"""
+
+
+@pytest.fixture(scope="session")
+def further(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A frame set with two further targets and a state calibrated on it; not to be changed."""
+
+    def fill(directory: Path) -> None:
+        (directory / "dcam.toml").write_text(CONFIG + FURTHER)
+        site = load_config(directory / "dcam.toml").site()
+        write_frame_set(directory / "set", site, SimSettings(seed=SEED, plates=PLATES), PLAN)
+        arguments = ["--config", directory / "dcam.toml", "--state", directory / "state"]
+        command = ["calibrate", "--from", directory / "set", "--accept"]
+        assert run(cli, "dcam-ctl", [str(word) for word in (*arguments, *command)]) == 0
+
+    made = shared_directory(tmp_path_factory, "further", fill)
+    own = tmp_path_factory.mktemp("further")  # each process reads its own database
+    shutil.copytree(made / "state", own / "state")
+    (own / "dcam.toml").write_text(CONFIG + FURTHER)
+    (own / "set").symlink_to(made / "set")
+    return own
 
 
 START = datetime(2026, 3, 1, tzinfo=UTC)
