@@ -228,8 +228,19 @@ def _edge_sigma_px(edge_px: float) -> float:
     return NOISE_DN / math.sqrt(information)
 
 
-def run_numbers(case: Case, seed: int) -> Outcome:
-    """One site without images."""
+@dataclass(frozen=True, slots=True)
+class NumbersSite:
+    """A site calibrated without images, and pairs to be measured."""
+
+    site: Site
+    world: World
+    head: SimulatedHead
+    calibrated: CalibratedSite
+    pairs: tuple[tuple[Shot, PairView], ...]
+
+
+def make_numbers(case: Case, seed: int) -> NumbersSite:
+    """Make a site and calibrate it, all points with noise of a known covariance."""
     site, settings = make_site(case, seed)
     world = World(site, settings, renders=False)
     head, seen = SimulatedHead(world), SeenWorld(world, case)
@@ -243,13 +254,18 @@ def run_numbers(case: Case, seed: int) -> Outcome:
             pairs[shot.role].append((shot, seen.pair(str(number), shot)))
     rig = tuple(view for _, view in pairs[ViewRole.RIG])
     views = Views(pairs[ViewRole.REFERENCE][0][1], rig, tuple(lens))
-    calibrated, _ = calibrate_numbers(views, site)
-    rows = []
-    for shot, pair in pairs[None]:
+    return NumbersSite(site, world, head, calibrate_numbers(views, site)[0], tuple(pairs[None]))
+
+
+def run_numbers(case: Case, seed: int) -> Outcome:
+    """One site without images."""
+    made = make_numbers(case, seed)
+    calibrated, rows = made.calibrated, []
+    for shot, pair in made.pairs:
         board = resect(calibrated.lens, calibrated.corners_mm, pair.board.view)
         found, _ = corrected_displacement(calibrated, pair.discs, board, pair.board.view)
-        head.move_to(*shot.head_deg)
-        truth = world.truth(shot.utc)
+        made.head.move_to(*shot.head_deg)
+        truth = made.world.truth(shot.utc)
         covariance = found.shared_mm2 if case.quiet_rows else found.covariance_mm2
         assert covariance is not None
         rows.append(Row(found.mm - truth.displacement_mm, covariance, good=True))

@@ -67,11 +67,14 @@ def monte_carlo(
     trials: int,
     rng: np.random.Generator,
     tell: Callable[[int, int], None] = lambda _done, _total: None,
+    *,
+    all_trials: bool = False,
 ) -> MonteCarlo | None:
     """Draw the inputs of a budget and carry them through the model; None with the paper's method.
 
     It ends after `trials`, or before, once the agreement within 5 % is decided by twice the
-    statistical error. tell hears how many trials are done, and of how many.
+    statistical error, unless `all_trials` are wanted. tell hears how many trials are done, and of
+    how many.
     """
     model = budget.model
     if not isinstance(model.calibrated.model, Rig):
@@ -83,7 +86,9 @@ def monte_carlo(
     while len(errors) < trials:
         errors.append(_trial(model, truth, rng) + datum_root @ rng.standard_normal(2))
         tell(len(errors), trials)
-        if len(errors) % _BLOCK == 0 and _is_decided(np.array(errors), budget_sigma_mm):
+        if all_trials or len(errors) % _BLOCK:
+            continue
+        if _is_decided(np.array(errors), budget_sigma_mm):
             break
     drawn, tail = np.array(errors), 0.5 * (1.0 - COVERAGE)
     low, high = np.quantile(drawn, [tail, 1.0 - tail], axis=0)

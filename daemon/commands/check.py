@@ -12,15 +12,17 @@ from daemon.checks.computer import check_clock, check_computer, check_user
 from daemon.checks.devices import check_backend, check_cameras, check_head, check_links
 from daemon.checks.disk import check_room, check_speed
 from daemon.checks.drawing import check_drawing
-from daemon.checks.finding import Finding
+from daemon.checks.finding import Finding, failed
 from daemon.checks.long_look import check_long
 from daemon.checks.readings import check_readings
 from daemon.checks.record import check_database, check_state
+from daemon.checks.report import check_report
 from daemon.checks.serial_port import check_port_rivals
 from daemon.commands.options import Options, common_options, json_option, pass_options, tz_option
 from daemon.commands.output import print_json, print_table
 from daemon.config.reading import Installation
-from daemon.errors import ExitCode
+from daemon.config.report import ReportSection
+from daemon.errors import ExitCode, WorkFailedError
 
 
 @click.command("check", epilog="\b\nExample:\n  dcam-ctl --config dcam.toml check --hardware")
@@ -42,7 +44,7 @@ from daemon.errors import ExitCode
 @common_options
 @pass_options
 def command(options: Options, hardware: bool, is_long: bool, as_json: bool) -> int:
-    """Check config, geometry, state, database, calibration, clock, alarm and sensors.
+    """Check config, geometry, state, database, calibration, clock, alarm, report and sensors.
 
     With --hardware also the computer, cameras, head and disk. Each line is ok, warning or error,
     and says what to do. Nothing is changed; a file that is written to try the disk is removed
@@ -68,6 +70,8 @@ def _findings(site: Installation, *, hardware: bool, is_long: bool) -> Iterator[
     yield from check_database(site)
     yield check_clock(simulated=config.has_stepped_clock)
     yield from check_alarm(config.alarm, site.config_path)
+    yield from check_report(config.report, state)
+    yield from _check_reference(config.report)
     yield check_backend(config)
     yield from check_readings(config)
     if not hardware:
@@ -81,6 +85,22 @@ def _findings(site: Installation, *, hardware: bool, is_long: bool) -> Iterator[
     yield from check_head(config)
     yield from check_speed(config, state)
     yield from check_computer()
+
+
+def _check_reference(settings: ReportSection) -> Iterator[Finding]:
+    """Whether the reference that reports are compared with can be read."""
+    if settings.reference is None:
+        return
+    from daemon.reports.reference import read_reference
+
+    try:
+        measured = read_reference(settings.reference)
+    except WorkFailedError as error:
+        yield failed("reference", error)
+        return
+    times = sum(map(len, measured.series.values()))
+    text = f"{settings.reference}: {times} values of {', '.join(measured.points)}"
+    yield Finding("reference", "ok", text)
 
 
 def _fields(finding: Finding) -> dict[str, object]:

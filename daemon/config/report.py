@@ -8,6 +8,9 @@ from pydantic import Field
 
 from daemon.config.site import Directory, Section
 
+DIRECTORY = "reports"
+"""Of the months' reports, in the state directory."""
+
 Line = Annotated[str, Field(max_length=500)]
 
 

@@ -8,6 +8,7 @@ from datetime import UTC, datetime, timedelta, tzinfo
 from pathlib import Path
 
 from daemon.config.reading import Installation
+from daemon.config.report import DIRECTORY
 from daemon.durable import write_durable
 from daemon.errors import DatabaseMissingError
 from daemon.reports.page import ReportPlan, make_report, write_html
@@ -16,7 +17,6 @@ from daemon.reports.statement import TRIALS
 from daemon.status.coverage import coverage_text
 from daemon.store.database import Store, open_store_readonly
 
-DIRECTORY = "reports"
 _OURS = re.compile(r"(?P<month>\d{4}-\d{2})\.(html|pdf)")
 
 

@@ -28,8 +28,8 @@ from daemon.store.database import Store
 from daemon.store.datum import in_record_zero
 from daemon.store.records import CalibrationRecord, DatumRecord, MeasurementRecord
 
-TRIALS = 8000
-"""Of the Monte Carlo in a report, at most: its standard deviation is then known to 0.8 %."""
+TRIALS = 5000
+"""Of the Monte Carlo in a report, at most: its standard deviation is then known to 1.0 %."""
 _SEED = 101
 """Of the Monte Carlo, so that a report can be made again."""
 _LEARNT_SHARE = 0.9

@@ -64,6 +64,8 @@ def test_what_the_service_needs_is_in_place(installed: Path) -> None:
         "lib/systemd/system/dcamd.service",
         "lib/systemd/system/dcam-alarm.service",
         "lib/systemd/system/dcam-alarm.timer",
+        "lib/systemd/system/dcam-report.service",
+        "lib/systemd/system/dcam-report.timer",
         "lib/sysusers.d/dcam.conf",
         "lib/tmpfiles.d/dcam.conf",
         "lib/sysctl.d/60-dcam.conf",
@@ -207,6 +209,7 @@ def test_without_systemd_it_installs_and_says_what_is_left_to_do(tmp_path: Path)
         "make /etc/dcam/dcam.toml your site's",
         "runuser -u dcam -- env NUMBA_CACHE_DIR=/var/cache/dcam/numba dcamd",
         "every minute: runuser -u dcam -- dcam-ctl alarm",
+        "once a day: runuser -u dcam -- dcam-ctl report --monthly",
         ":/var/lib/dcam:/usr/sbin/nologin",
         "state: dcam 750",
         "/opt/dcam/venv/bin/dcamd\n",
@@ -266,6 +269,7 @@ def test_debian_package_holds_it_all(package: Path, tmp_path: Path) -> None:
     assert files["/usr/lib/dcam/venv/bin/dcamd"] == "-rwxr-xr-x"
     assert files["/usr/bin/dcam-ctl"].startswith("l")
     units = ("dcamd.service", "dcam-alarm.service", "dcam-alarm.timer")
+    units += ("dcam-report.service", "dcam-report.timer")
     for name in (
         *(f"lib/systemd/system/{unit}" for unit in units),
         "lib/udev/rules.d/60-dcam.rules",

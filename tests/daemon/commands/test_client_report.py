@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import shutil
@@ -260,3 +261,21 @@ def test_what_report_says_of_people_is_in_the_config(tmp_path: Path) -> None:
     section = load_config(tmp_path / "dcam.toml").report
     assert section.client == "Roads <b>Authority</b>"
     assert section.reference == tmp_path / "levels.csv"
+
+
+def test_check_knows_the_reports_and_their_reference(site: Site) -> None:
+    def findings(section: str) -> dict[str, tuple[str, str]]:
+        site.config.write_text(SIMULATED.replace("[simulation]", f"{section}\n[simulation]"))
+        found = json.loads(site.ctl("check", "--json").out)["findings"]
+        return {one["name"]: (one["state"], one["text"]) for one in found}
+
+    (site.state / "reports").mkdir()
+    (site.state / "reports" / "2026-02.pdf").touch()
+    state, text = findings("")["report"]
+    assert (state, text.endswith("reports, the last 2026-02")) == ("ok", True)
+    assert "monthly = false" in findings("[report]\nmonthly = false")["report"][1]
+    state, text = findings("[report]\nreference = 'none.csv'")["reference"]
+    assert (state, "none.csv: No such file" in text) == ("error", True)
+    (site.config.parent / "none.csv").write_text("time,y_mm,sigma_mm\n2026-03-01T00:00Z,1,1\n")
+    state, text = findings("[report]\nreference = 'none.csv'")["reference"]
+    assert (state, text.endswith("1 values of main")) == ("ok", True)
