@@ -18,7 +18,7 @@ from core.results import Measurement
 from core.site import QualityLimits, Site
 from daemon import main
 from daemon.clock import machine
-from daemon.slots import measuring, pipeline
+from daemon.slots import measuring, row_history
 from daemon.slots.measuring import ActiveCalibration, ImagePair
 from daemon.slots.row_history import RowHistory, stored_continuity
 from daemon.store.database import Store
@@ -110,8 +110,8 @@ def run() -> NoReturn:
     boot_id, every = sys.argv.pop(1), int(sys.argv.pop(1))
     for module, name, stand_in in (
         (machine, "read_boot_id", lambda: boot_id),
-        (pipeline, "measure", MeasuredAgain(every).measure),
-        (pipeline, "judge_in_history", Remembered().judge_in_history),
+        (row_history, "measure", MeasuredAgain(every).measure),
+        (row_history, "judge_in_history", Remembered().judge_in_history),
         (world, "World", RenderedOnce),
     ):
         setattr(module, name, stand_in)

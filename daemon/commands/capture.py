@@ -19,6 +19,7 @@ from daemon.devices import open_clock, open_pair_source
 from daemon.errors import DatabaseMissingError, ExitCode
 from daemon.lock import sole_writer
 from daemon.slots.exposure import last_known, loop_of, settle
+from daemon.slots.learner import Learner
 from daemon.slots.measuring import ActiveCalibration, active_calibration
 from daemon.slots.snapshot import frame_text, look_fields, measure_look
 from daemon.store.database import open_store_readonly
@@ -65,12 +66,13 @@ def _look(options: Options) -> dict[str, Any]:
                 settle(source, clock, loop)
             slot_utc = clock.now_utc().replace(microsecond=0)
             shots = take_burst(source, clock, slot_utc, config.burst_plan())
+    site, learner = config.site(), Learner()
     if calibration is None:
-        measurement = measure_look(shots, slot_utc, config.site(), None, None)
+        measurement = measure_look(shots, slot_utc, site, None, None, learner)
     else:
         with open_store_readonly(state) as store:
-            measurement = measure_look(shots, slot_utc, config.site(), calibration, store)
-    return look_fields(slot_utc, measurement, shots, config.site())
+            measurement = measure_look(shots, slot_utc, site, calibration, store, learner)
+    return look_fields(slot_utc, measurement, shots, site)
 
 
 def _known(

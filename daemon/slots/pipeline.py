@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from functools import partial
 
 import structlog
 
@@ -29,12 +28,11 @@ from daemon.slots.measuring import (
     active_calibration,
     image_pair,
     load_pairs,
-    measure,
     worst_skew_s,
 )
-from daemon.slots.row_history import judge_in_history, past_rows, slip_that_began
+from daemon.slots.row_history import measure_in_record, slip_that_began
 from daemon.slots.supervision import Action, Policy, policy_of
-from daemon.store.database import NEVER, Store
+from daemon.store.database import Store
 from daemon.store.datum import in_record_zero
 from daemon.store.frames.archive import FrameArchive, StoredPair, camera_state
 from daemon.store.records import DatumRecord, GapCause, MeasurementRecord, Reading
@@ -197,15 +195,10 @@ def _measure(
     pairs: Sequence[ImagePair],
     calibration: ActiveCalibration | None,
 ) -> Measurement:
-    """Measure a slot's pairs and hold the result against the rows before."""
-    before_utc = NEVER if context.undated else slot_utc
-    past = past_rows(context.store, calibration, context.site, before_utc)
-    learnt = None
-    if not context.undated and calibration is not None and calibration.id is not None:
-        hours = partial(context.store.hourly_closures, calibration.id)
-        learnt = context.learner.at(slot_utc, calibration, hours)
-    alone = measure(pairs, context.site, calibration, past, learnt)
-    return judge_in_history(context.store, calibration, context.site.quality, before_utc, alone)
+    return measure_in_record(
+        *(context.store, context.site, calibration, context.learner, slot_utc, pairs),
+        undated=context.undated,
+    )
 
 
 def _note_slip(

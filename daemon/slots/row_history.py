@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
+from functools import partial
 
 import numpy as np
 
@@ -19,8 +21,9 @@ from core.quality.step_detection import (
 from core.results import Measurement, Reason
 from core.rig.calibrated_site import CalibratedSite
 from core.site import QualityLimits, Site
-from daemon.slots.measuring import ActiveCalibration
-from daemon.store.database import ALWAYS, Store
+from daemon.slots.learner import Learner
+from daemon.slots.measuring import ActiveCalibration, ImagePair, measure
+from daemon.store.database import ALWAYS, NEVER, Store
 from daemon.store.records import BELIEVED, SLIPPED, MeasurementRecord, PastRows
 from daemon.times import slot_text
 
@@ -47,6 +50,30 @@ class RowHistory:
             return measurement
         reasons, self.so_far = self.so_far.judge(sample, self._limits)
         return add_reasons(measurement, reasons)
+
+
+def measure_in_record(
+    store: Store,
+    site: Site,
+    calibration: ActiveCalibration | None,
+    learner: Learner,
+    slot_utc: datetime,
+    pairs: Sequence[ImagePair],
+    *,
+    undated: bool = False,
+) -> Measurement:
+    """Measure a slot's pairs and hold the result against the rows before; nothing is written.
+
+    An undated slot is held against all rows, and nothing learnt serves it. Raises StoreError.
+    """
+    before_utc = NEVER if undated else slot_utc
+    past = past_rows(store, calibration, site, before_utc)
+    learnt = None
+    if not undated and calibration is not None and calibration.id is not None:
+        hours = partial(store.hourly_closures, calibration.id)
+        learnt = learner.at(slot_utc, calibration, hours)
+    alone = measure(pairs, site, calibration, past, learnt)
+    return judge_in_history(store, calibration, site.quality, before_utc, alone)
 
 
 def judge_in_history(

@@ -206,7 +206,9 @@ class Service:
             slot_utc = self._clock.now_utc().replace(microsecond=0)
             shots = take_burst(source, self._clock, slot_utc, context.burst)
         calibration = active_calibration(self._store)
-        measurement = measure_look(shots, slot_utc, context.site, calibration, self._store)
+        measurement = measure_look(
+            shots, slot_utc, context.site, calibration, self._store, context.learner
+        )
         return look_fields(slot_utc, measurement, shots, context.site)
 
 

@@ -13,8 +13,9 @@ from core.results import Measurement
 from core.site import Site
 from daemon.burst import Shot
 from daemon.schedule import Schedule
+from daemon.slots.learner import Learner
 from daemon.slots.measuring import ActiveCalibration, image_pair, measure
-from daemon.slots.row_history import judge_in_history
+from daemon.slots.row_history import measure_in_record
 from daemon.store.database import Store
 from daemon.store.datum import in_record_zero
 from daemon.store.json_fields import plain, result_fields
@@ -43,17 +44,16 @@ def measure_look(
     site: Site,
     calibration: ActiveCalibration | None,
     store: Store | None,
+    learner: Learner,
 ) -> Measurement:
-    """Measure pairs as a slot's row is read: held against those of `store`, in the record's zero.
+    """Measure pairs as a slot's row is: held against those of `store`, in the record's zero.
 
     Raises StoreError.
     """
-    measurement = measure(
-        (image_pair(shot.pair, shot.captured_utc) for shot in shots), site, calibration
-    )
+    pairs = [image_pair(shot.pair, slot_utc) for shot in shots]
     if store is None or calibration is None:
-        return measurement
-    judged = judge_in_history(store, calibration, site.quality, slot_utc, measurement)
+        return measure(pairs, site, calibration)
+    judged = measure_in_record(store, site, calibration, learner, slot_utc, pairs)
     return in_record_zero(judged, calibration.datum)
 
 

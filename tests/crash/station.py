@@ -20,7 +20,7 @@ import structlog
 
 from core.results import Displacement, Flag, Measurement
 from daemon.retention.rules import Rules
-from daemon.slots import pipeline
+from daemon.slots import pipeline, row_history
 from daemon.slots.measuring import ImagePair
 from daemon.slots.runner import SlotRunner
 from daemon.store.database import Store
@@ -104,9 +104,9 @@ def heard(acknowledged: Callable[[datetime], object]) -> Iterator[None]:
 def measured_by_eye() -> Iterator[None]:
     """Measure without looking for targets, which these small images do not show."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pipeline, "measure", measure_by_eye)
+        patch.setattr(row_history, "measure", measure_by_eye)
         patch.setattr(pipeline, "active_calibration", calibration_by_number)
-        patch.setattr(pipeline, "judge_in_history", lambda *arguments: arguments[-1])
+        patch.setattr(row_history, "judge_in_history", lambda *arguments: arguments[-1])
         yield
 
 

@@ -20,9 +20,12 @@ from core.results import Displacement, Flag, Measurement, TargetMeasurement
 from core.rig.calibrated_target import CalibratedTarget
 from core.rig.stability import Moment
 from core.site import ExtraTarget, TargetRole
+from daemon.burst import BurstPlan, take_burst
 from daemon.config.reading import load_config
-from daemon.slots.learner import ComputedClosures
-from daemon.slots.pipeline import run_slot
+from daemon.slots.learner import ComputedClosures, Learner
+from daemon.slots.measuring import active_calibration
+from daemon.slots.pipeline import SlotContext, run_slot
+from daemon.slots.snapshot import measure_look
 from daemon.store.database import open_store
 from daemon.store.records import CameraState, MeasurementRecord
 from drivers.frameset import read_frame_set, read_image
@@ -31,6 +34,7 @@ from tests.daemon.commands.conftest import GOOD, Ctl, Ran
 from tests.daemon.conftest import ScriptedSource, Station, SteppedClock
 
 REFERENCE = datetime(2026, 4, 1, tzinfo=UTC)
+LATER = REFERENCE + timedelta(days=20, hours=1)
 DISTANCE_MM = 21_500.0
 C_URAD_PER_K = (3.0, -4.0)
 WARM_C = 20.0
@@ -122,8 +126,8 @@ class Replayed(ScriptedSource):
         return replace(captured, main=main, sub=sub)
 
 
-def measured(watched: Watched, bench: Path) -> MeasurementRecord:
-    """The row that dcamd makes of a pair without its fixed target, 20 days after the reference."""
+def without_its_plate(watched: Watched, bench: Path) -> tuple[SlotContext, Replayed]:
+    """What dcamd would measure: a pair that does not show the site's fixed target."""
     station = Station(watched.state)
     site = load_config(bench / "dcam.toml").site()
     plate = ExtraTarget("abutment", TargetRole.FIXED, site.main_target)
@@ -132,9 +136,13 @@ def measured(watched: Watched, bench: Path) -> MeasurementRecord:
     assert row.main is not None
     assert row.sub is not None
     pair = (read_image(bench / "set" / row.main), read_image(bench / "set" / row.sub))
-    record = run_slot(
-        context, REFERENCE + timedelta(days=20, hours=1), Replayed(station.clock, pair)
-    )
+    return context, Replayed(station.clock, pair)
+
+
+def measured(watched: Watched, bench: Path) -> MeasurementRecord:
+    """The row that dcamd makes of such a pair, 20 days after the reference."""
+    context, source = without_its_plate(watched, bench)
+    record = run_slot(context, LATER, source)
     assert isinstance(record, MeasurementRecord)
     assert record.measurement.closure is None
     return record
@@ -218,6 +226,23 @@ def test_what_was_learnt_corrects_rows_while_the_fixed_target_is_hidden(
     assert np.all(np.abs(taken_off_mm - 1e-6 * main_mm * turn_urad) < 3.0 * sigma_mm)
     assert np.all(np.abs(taken_off_mm) > 5.0 * sigma_mm)
     assert np.all(sigma_mm < 0.5 * np.sqrt(np.diag(without.covariance_mm2)))
+
+
+def test_capture_measures_as_the_row_would(watched: Watched, bench: Path) -> None:
+    """What was learnt of the rig is in it too."""
+    watched.watch(20)
+    context, source = without_its_plate(watched, bench)
+    calibration = active_calibration(context.store)
+    shots = take_burst(source, context.clock, LATER, BurstPlan())
+    look = measure_look(shots, LATER, context.site, calibration, context.store, Learner())
+    context.store.close()
+    row = measured(watched, bench).measurement
+    assert look.corrected is not None
+    assert row.corrected is not None
+    np.testing.assert_allclose(look.corrected.mm, row.corrected.mm, atol=1e-4)
+    np.testing.assert_allclose(
+        look.corrected.covariance_mm2, row.corrected.covariance_mm2, rtol=0.05
+    )
 
 
 def test_reprocess_learns_from_the_same_numbers_as_dcamd(watched: Watched) -> None:

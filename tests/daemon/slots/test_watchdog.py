@@ -18,9 +18,9 @@ from tests.waiting import PATIENCE_S
 HANGS_AT_ITS_SECOND_SLOT = """
 import sys, threading
 from daemon import main
-from daemon.slots import pipeline
+from daemon.slots import row_history
 
-measure, calls = pipeline.measure, []
+measure, calls = row_history.measure, []
 
 def measure_or_hang(*arguments):
     calls.append(arguments)
@@ -29,7 +29,7 @@ def measure_or_hang(*arguments):
         threading.Event().wait()
     return measure(*arguments)
 
-pipeline.measure = measure_or_hang
+row_history.measure = measure_or_hang
 main.main()
 """
 
