@@ -109,6 +109,7 @@ def _blocks(
     yield from sections.site_and_method(config)
     yield from sections.completeness(history, words)
     yield from sections.reference(beside)
+    yield from sections.alarms(site.state_directory, history, words)
     found = [(store.calibration(number), store.datum(number)) for number in history.calibrations]
     yield from sections.calibrations(found, config.config_hash(), words)
     yield from statement_blocks(

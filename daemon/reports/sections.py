@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import importlib.util
 import io
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, tzinfo
 from functools import cached_property
+from pathlib import Path
 
+from daemon.alarm.history import alarm_history
 from daemon.config.model import Config
 from daemon.reports.beside_reference import Beside, sentences
 from daemon.reports.document import Block, Bullets, Heading, Picture, Text, Verdict, table
@@ -258,6 +261,40 @@ def reference(beside: Beside | None) -> Iterator[Block]:
             yield Bullets(tuple(sentences(one)))
 
 
+_OF_ALARMS = ("raised", "changed", "cleared", "contradicted", "acknowledged", "silenced")
+"""What a reader of a report wants to know of them; messages that were sent stand in their list."""
+
+
+def alarms(state: Path, history: History, words: Words) -> Iterator[Block]:
+    """Which alarms there were."""
+    yield Heading("Alarms")
+    found = [
+        one
+        for one in alarm_history(state, history.since_utc, history.until_utc)
+        if one.kind in _OF_ALARMS
+    ]
+    raised = Counter(one.name for one in found if one.kind == "raised")
+    if not raised:
+        yield Text("None was raised in this span.")
+    else:
+        yield table(("alarm", "times raised"), raised.most_common(), (1,))
+    if len(found) > MOST_LINES:
+        yield Text(
+            f"{len(found) - MOST_LINES} more entries before these; dcam-ctl alarm lists them."
+        )
+    if found:
+        yield table(
+            ("when", "alarm", "what", "level", "text", "by"),
+            [
+                (
+                    *(words.when(one.time_utc.replace(microsecond=0)), one.name, one.kind),
+                    *(one.level.name.lower(), words.shown(one.text), one.by),
+                )
+                for one in found[-MOST_LINES:]
+            ],
+        )
+
+
 def calibrations(
     found: Sequence[tuple[CalibrationRecord | None, DatumRecord | None]],
     config_hash: str,
@@ -287,7 +324,7 @@ def calibrations(
             continue
         passed = "passed" if record.report.passed else "not passed"
         yield Heading(
-            f"{record.id}, of {words.when(record.created_utc)}, "
+            f"Calibration {record.id}, of {words.when(record.created_utc.replace(microsecond=0))}, "
             f"{record.content.get('method', '')}, {passed}",
             3,
         )

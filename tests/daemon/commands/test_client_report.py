@@ -13,11 +13,13 @@ from pathlib import Path
 import pypdfium2
 import pytest
 
+from daemon.alarm.history import Happened, note_history
 from daemon.config.reading import find_installation, load_config
 from daemon.ctl import cli
 from daemon.error_report import run
 from daemon.main import serve
 from daemon.reports.monthly import last_month
+from daemon.status.item import Level
 from daemon.store.database import open_store, open_store_readonly
 from daemon.store.records import GapCause
 from daemon.zones import find_zone
@@ -186,6 +188,26 @@ def test_a_span_without_rows_and_one_with_a_single_row_are_reported(
     said = "the row names no calibration" if rows else "the span has no good row"
     assert f"No budget: {said}" in text
     assert f"No budget: {said}" in page.read_text(encoding="utf-8")
+
+
+def test_the_alarms_of_the_span_are_told(site: Site, tmp_path: Path) -> None:
+    for minutes, kind in ((-60, "raised"), (3, "raised"), (4, "sent"), (5, "acknowledged")):
+        when = START + timedelta(minutes=minutes)
+        by = "Ann" if kind == "acknowledged" else ""
+        text = "<b>8 mm</b> since 2026-03-01T00:02:00Z"
+        assert note_history(
+            site.state, Happened(when, kind, "deck-level", Level.CRITICAL, text, by)
+        )
+    page = tmp_path / "a.html"
+    assert site.ctl("report", "--tz", "Europe/Berlin", "--output", page).code == 0
+    cells = Cells(page.read_text(encoding="utf-8"))
+    assert cells.row("deck-level") == ["deck-level", "1"]
+    said = [row for row in cells.rows if row[1:2] == ["deck-level"]]
+    text = "<b>8 mm</b> since 2026-03-01T01:02:00+01:00"
+    assert said == [
+        ["2026-03-01T01:03:00+01:00", "deck-level", "raised", "critical", text, ""],
+        ["2026-03-01T01:05:00+01:00", "deck-level", "acknowledged", "critical", text, "Ann"],
+    ]
 
 
 def test_a_report_needs_a_name_that_says_what_it_is(site: Site, tmp_path: Path) -> None:
