@@ -14,7 +14,7 @@ weighted least squares (weights 1 / s_i^2), from two days on together with the d
 
     y(t) = a + b t + sum_{m = 1, 2} (c_m cos(m w t) + d_m sin(m w t)),   w = 2 pi / 1 d
 
-    s_b^2 = C_bb max(1, chi^2 / (n - p)) (1 + r) / (1 - r)
+    s_b^2 = C_bb max(1, chi^2 / (n - p) (1 + r) / (1 - r))
 
 `C` is the covariance of the fit, `r` the correlation of neighbouring residuals where it is positive
 (what is left of weather is no white noise). Raised where `|b| - k s_b > L`, cleared where
@@ -153,7 +153,7 @@ def fit_rate(samples: Samples, window_s: float) -> tuple[float, float] | None:
     residual = value / sigma - design @ solution
     scatter = float(residual @ residual) / max(1, days.size - design.shape[1])
     correlation = _correlation(residual, block)
-    inflation = max(1.0, scatter) * (1 + correlation) / (1 - correlation)
+    inflation = max(1.0, scatter * (1 + correlation) / (1 - correlation))
     return float(solution[1]), math.sqrt(float(covariance[1, 1]) * inflation)
 
 

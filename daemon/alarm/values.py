@@ -53,24 +53,30 @@ def judge_values(
         return []
     with open_points(state) as connection:
         return [
-            _judge(one, connection, period_s, now_utc, raised.get(one.name)) for one in settings.own
+            judge_rows(
+                one,
+                _rows(connection, one, period_s, now_utc),
+                period_s,
+                now_utc,
+                raised.get(one.name),
+            )
+            for one in settings.own
         ]
 
 
-def _judge(
-    one: Own,
-    connection: sqlite3.Connection,
-    period_s: int,
-    now_utc: datetime,
-    raised: float | None,
-) -> Verdict:
+def _rows(connection: sqlite3.Connection, one: Own, period_s: int, now_utc: datetime) -> PointRows:
     span_s = 3600 * one.window_h if isinstance(one, RateAlarm) else 60 * one.dwell_min
     reach_s = max(span_s, LEAST_ROWS * period_s) + STALE_PERIODS * period_s
     since_utc, until_utc = now_utc - timedelta(seconds=reach_s), now_utc + SECOND
     if isinstance(one, ReadingAlarm):
-        found = reading_rows(connection, one.reading, since_utc, until_utc)
-    else:
-        found = point_rows(connection, one.target, one.axis, since_utc, until_utc)
+        return reading_rows(connection, one.reading, since_utc, until_utc)
+    return point_rows(connection, one.target, one.axis, since_utc, until_utc)
+
+
+def judge_rows(
+    one: Own, found: PointRows, period_s: int, now_utc: datetime, raised: float | None
+) -> Verdict:
+    """Judge one alarm by its rows up to now; `raised` is the limit that is exceeded now."""
     samples = samples_of(found)
     judged = _judged(one, samples, raised) if _is_fresh(samples, period_s, now_utc) else None
     if judged is None:

@@ -260,7 +260,6 @@ def list_command(options: Options, at_utc: datetime | None, as_json: bool) -> No
 @command.command("history", epilog="\b\nExample:\n  dcam-ctl alarm history --since 2026-03-01")
 @span_options
 @json_option
-@tz_option
 @common_options
 @pass_options
 def history_command(
