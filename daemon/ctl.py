@@ -33,6 +33,7 @@ COMMANDS = {
     "metrics": "What status knows, for Prometheus.",
     "gaps": "List slots without a measurement, and why.",
     "export": "Write measurements as a table.",
+    "send": "Pass rows on to MQTT and InfluxDB, each once.",
     "plot": "Draw a figure of the record, PNG or SVG.",
     "report": "Write the record of a span as one HTML file.",
     "compare": "Hold the record against levelling, LiDAR or a model.",

@@ -16,6 +16,7 @@ from pydantic import Field, PrivateAttr, Strict
 
 from core.site import Site, StabilityBudget
 from daemon.config.alarm import AlarmSection
+from daemon.config.outputs import InfluxSection, MqttSection
 from daemon.config.readings import MOST_READINGS, ReadingSection
 from daemon.config.report import ReportSection
 from daemon.config.simulation import SimulationSection
@@ -217,6 +218,8 @@ class Config(Section):
     retention: RetentionSection = RetentionSection()
     alarm: AlarmSection = AlarmSection()
     report: ReportSection = ReportSection()
+    mqtt: MqttSection = MqttSection()
+    influx: InfluxSection = InfluxSection()
     log: LogSection = LogSection()
     replay: ReplaySection = ReplaySection()
     simulation: SimulationSection = SimulationSection()

@@ -120,6 +120,7 @@ def _contradictions(config: Config) -> list[str]:
                 f"[{low:g}, {high:g}]"
             )
     problems += config.simulation.problems(names)
+    problems += config.mqtt.problems() + config.influx.problems()
     problems += _zone_problems(config.site_section.timezone)
     return problems
 
