@@ -66,6 +66,7 @@ def test_what_the_service_needs_is_in_place(installed: Path) -> None:
         "lib/systemd/system/dcam-alarm.timer",
         "lib/systemd/system/dcam-report.service",
         "lib/systemd/system/dcam-report.timer",
+        "lib/systemd/system/dcam-send.service",
         "lib/sysusers.d/dcam.conf",
         "lib/tmpfiles.d/dcam.conf",
         "lib/sysctl.d/60-dcam.conf",
@@ -269,7 +270,7 @@ def test_debian_package_holds_it_all(package: Path, tmp_path: Path) -> None:
     assert files["/usr/lib/dcam/venv/bin/dcamd"] == "-rwxr-xr-x"
     assert files["/usr/bin/dcam-ctl"].startswith("l")
     units = ("dcamd.service", "dcam-alarm.service", "dcam-alarm.timer")
-    units += ("dcam-report.service", "dcam-report.timer")
+    units += ("dcam-report.service", "dcam-report.timer", "dcam-send.service")
     for name in (
         *(f"lib/systemd/system/{unit}" for unit in units),
         "lib/udev/rules.d/60-dcam.rules",

@@ -46,7 +46,10 @@ def test_systemd_has_nothing_to_say_against_the_units(tmp_path: Path) -> None:
         stand_in = tmp_path / program
         stand_in.write_text("#!/bin/sh\n")
         stand_in.chmod(0o755)
-    units = [tmp_path / name for name in ("dcamd.service", "dcam-alarm.service", TIMER)]
+    units = [
+        tmp_path / name
+        for name in ("dcamd.service", "dcam-alarm.service", TIMER, "dcam-send.service")
+    ]
     for unit in units:
         text = (UNITS / unit.name).read_text()
         unit.write_text(text.replace(f"{installed}/", f"{tmp_path}/"))
@@ -60,7 +63,7 @@ def test_systemd_has_nothing_to_say_against_the_units(tmp_path: Path) -> None:
 
 
 @needs_systemd
-@pytest.mark.parametrize("name", ["dcamd.service", "dcam-alarm.service"])
+@pytest.mark.parametrize("name", ["dcamd.service", "dcam-alarm.service", "dcam-send.service"])
 def test_systemd_rates_the_unit_as_locked_in(name: str) -> None:
     """At most 1.5 of 10; more would be reachable than two cameras, a serial port and its files."""
     result = subprocess.run(
