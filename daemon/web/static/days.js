@@ -1,6 +1,6 @@
 // The days as a filmstrip.
 
-import { el, fill, fixed, getJson, iso, percent, svg, t, table } from "./page.js";
+import { el, epoch, fill, fixed, getJson, iso, percent, svg, t, table } from "./page.js";
 
 const node = document.getElementById("days");
 const DAYS = 60;
@@ -50,7 +50,7 @@ const show = (until) => fill(node, async () => {
 
 const begin = async () => {
   const overview = await getJson("/api/overview");
-  const last = Date.parse(overview.span?.last ?? overview.now) / 1000;
+  const last = epoch(overview.span?.last) ?? epoch(overview.now);
   show(Math.floor(last / DAY_S + 1) * DAY_S);
 };
 fill(node, begin);

@@ -199,6 +199,7 @@ export class RecordFigure {
     this.since = middle - span / 2;
     this.until = middle + span / 2;
     this.node.dataset.state = "loading";
+    delete this.node.dataset.settled;
     this.frame ??= requestAnimationFrame(() => this.draw());
     clearTimeout(this.timer);
     if (this.isCovered()) this.settle();
@@ -222,8 +223,9 @@ export class RecordFigure {
   }
 
   isCovered() {
-    const { answer } = this;
-    return answer && this.asked.since <= this.since && this.until <= this.asked.until && answer.span_s <= 1.5 * this.wantedS();
+    const { answer, asked } = this;
+    if (!answer || this.since < asked.since || asked.until < this.until) return false;
+    return answer.span_s === 0 || asked.wantedS <= 1.5 * this.wantedS();
   }
 
   /** Fetch twice the width shown, so that a small move finds its data there. */
@@ -233,7 +235,7 @@ export class RecordFigure {
     const { signal } = (this.abort = new AbortController());
     this.idle = false;
     const half = (this.until - this.since) / 2;
-    const asked = { since: this.since - half, until: this.until + half };
+    const asked = { since: this.since - half, until: this.until + half, wantedS: this.wantedS() };
     const window = { since: iso(asked.since), until: iso(asked.until) };
     const quantities = [...new Set(this.panels.flatMap(({ spec }) => spec.lines.flatMap((line) => [line.quantity, line.sigma].filter(Boolean))))];
     try {
@@ -308,13 +310,12 @@ export class RecordFigure {
         mark.style.width = `${100 * (share(span.end) - share(span.start))}%`;
         return mark;
       });
-      if (!marks.length) return null;
       const track = el("div", { class: "track" }, marks);
       track.style.marginLeft = `${place.left - box.left}px`;
       track.style.width = `${place.width}px`;
       return el("div", { class: "lane", role: "group", "aria-label": t(`lane_${lane}`) }, el("span", { class: "lane-name" }, t(`lane_${lane}`)), track);
     });
-    this.lanes.replaceChildren(...rows.filter(Boolean));
+    this.lanes.replaceChildren(...rows);
     if (focused) this.lanes.querySelector(`[data-key="${focused}"]`)?.focus({ preventScroll: true });
   }
 

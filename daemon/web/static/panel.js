@@ -119,8 +119,8 @@ export class Panel {
     });
   }
 
-  /** Indices of the values in the window, with one more to each side. */
-  window() {
+  /** Indices of the values in the window, with one more to each side, or as many as asked. */
+  window(more = this.step) {
     const at = (time) => {
       let low = 0;
       let high = this.times.length;
@@ -131,7 +131,7 @@ export class Panel {
       }
       return low;
     };
-    return [at(this.since - this.step), at(this.until + this.step)];
+    return [at(this.since - more), at(this.until + more)];
   }
 
   /** The least and greatest of a line in the window. */
@@ -265,7 +265,7 @@ export class Panel {
 
   fillTable() {
     if (!this.details.open) return;
-    const [first, last] = this.window();
+    const [first, last] = this.window(0);
     const every = Math.max(1, Math.ceil((last - first) / TABLE_LINES));
     const { digits = 3 } = this.spec;
     const rows = [];

@@ -1,6 +1,6 @@
 // One slot: its two frames with the targets drawn in, and its numbers.
 
-import { el, epoch, fill, fixed, flagElement, getJson, svg, t, table, timeElement, timeText, withSigma } from "./page.js";
+import { el, epoch, fill, fixed, flagElement, getJson, iso, svg, t, table, timeElement, timeText, withSigma } from "./page.js";
 
 const NUMBER_DIGITS = 6;
 
@@ -120,8 +120,8 @@ export const showSlot = async (node, slot, go) => {
     if (node.dataset.slot !== slot) return; // another one was asked for since
     const seconds = epoch(answer.slot ?? slot);
     const frames = ["main", "sub"].map((role) => new Frame(role, answer.frames?.[role] ?? null, timeText(seconds, "second")));
-    const step = (name, to) => el("button", { type: "button", "data-go": name, disabled: !to, onclick: () => go(to) }, t(name));
-    const around = `/#since=${new Date(1000 * (seconds - 43200)).toISOString()}&until=${new Date(1000 * (seconds + 43200)).toISOString()}`;
+    const step = (name, to) => el("button", { type: "button", "data-go": name, disabled: !to, onclick: () => go(iso(epoch(to))) }, t(name));
+    const around = `/#since=${iso(seconds - 43200)}&until=${iso(seconds + 43200)}`;
     const focused = node.contains(document.activeElement) ? document.activeElement.dataset.go : null;
     node.replaceChildren(
       el("div", { class: "slot-head" },
