@@ -40,9 +40,12 @@ def command(options: Options, port: int, interval_s: float, looks: int | None) -
     meanwhile, its slots are a gap `calibration`, and goes on by itself. With `[exposure] mode =
     "auto"` exposure follows the light from look to look.
     """
-    from daemon.preview.server import Shown, serving
+    from daemon.preview.shown import Shown
     from daemon.preview.snapshot import Snapshot, take_snapshot
     from daemon.slots.exposure import loop_of
+    from daemon.web.app import build_app
+    from daemon.web.serving import serving
+    from daemon.web.settings import Settings, cache_directory
 
     config = options.config
     clock, site = open_clock(config), config.site()
@@ -65,8 +68,10 @@ def command(options: Options, port: int, interval_s: float, looks: int | None) -
     with suppress(KeyboardInterrupt), ExitStack() as opened:
         opened.enter_context(cameras_to_oneself(options.state, "dcam-ctl preview"))
         source = opened.enter_context(closing(open_pair_source(config, clock)))
-        bound = opened.enter_context(serving(shown, port))
-        note(f"http://localhost:{bound}/ shows the pictures; Ctrl-C ends")
+        settings = Settings(options.installation, cache_directory(options.state))
+        page = build_app(settings, shown)
+        bound = opened.enter_context(serving(page, "127.0.0.1", port, "give another --port"))
+        note(f"http://localhost:{bound}/aim shows the pictures; Ctrl-C ends")
         taken = 0
         while looks is None or taken < looks:
             taken += 1

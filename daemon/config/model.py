@@ -30,6 +30,7 @@ from daemon.config.site import (
     StabilitySection,
     TargetsSection,
 )
+from daemon.config.web import WebSection
 from daemon.retention.rules import Rules
 from drivers.protocols import HeadSettings, LineOut, Role, TriggerIn
 
@@ -220,6 +221,7 @@ class Config(Section):
     report: ReportSection = ReportSection()
     mqtt: MqttSection = MqttSection()
     influx: InfluxSection = InfluxSection()
+    web: WebSection = WebSection()
     log: LogSection = LogSection()
     replay: ReplaySection = ReplaySection()
     simulation: SimulationSection = SimulationSection()

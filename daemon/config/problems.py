@@ -12,8 +12,8 @@ from pydantic_core import ErrorDetails
 
 Location = tuple[int | str, ...]
 
-_UNQUOTED = "alarm"
-"""No value and no unknown key of it is ever quoted, but of its own tables."""
+_UNQUOTED = ("alarm", "web")
+"""No value and no unknown key of them is ever quoted, but of the alarm's own tables."""
 _QUOTED = ("value", "rate", "reading")
 """Of [alarm]: what holds no password."""
 _CREDENTIALS = re.compile(r"://[^/@\s]*@")
@@ -75,7 +75,7 @@ def _named(model: type[BaseModel], item: ErrorDetails) -> Location:
 
 
 def _is_secret(location: Location) -> bool:
-    return location[:1] == (_UNQUOTED,) and location[1:2] not in [(name,) for name in _QUOTED]
+    return location[:1] in [(name,) for name in _UNQUOTED] and location[1:2] not in [(name,) for name in _QUOTED]
 
 
 def _has_wrong_value(location: Location, details: list[ErrorDetails]) -> bool:

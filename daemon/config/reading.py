@@ -17,6 +17,7 @@ from daemon.config.plausibility import implausible_values
 from daemon.config.problems import describe_problems
 from daemon.config.readings import reading_problems
 from daemon.config.simulation import SimulationSection
+from daemon.config.web import web_problems
 from daemon.errors import ConfigError
 from daemon.file_errors import file_error_text
 from daemon.zones import LOCAL, find_zone
@@ -103,6 +104,7 @@ def _contradictions(config: Config) -> list[str]:
     problems += _burst_problems(config)
     problems += reading_problems(config)
     problems += alarm_problems(config)
+    problems += web_problems(config)
     head = config.pan_tilt
     if head.port is not None and (problem := port_problem(head.port)):
         problems.append(f'pan_tilt.port: "{head.port}" {problem}')

@@ -19,6 +19,8 @@ SHOWN_WIDTH_PX = 960
 DETAIL_PX = 480
 """Side of the part whose pixels are shown as they are, where focus can be judged by eye."""
 BINS = 64
+CENTRED_SHARE = 0.1
+"""Of the image's width or height: a target nearer to the middle is well aimed at."""
 _GREEN = (80, 200, 60)
 
 
@@ -52,6 +54,10 @@ class CameraLook:
     """Width of the target's edges, 1 sigma; None while it is not found."""
     off_centre_px: tuple[float, float] | None
     """From the middle of the image to that of the target, right and down."""
+    room_px: dict[str, float] | None
+    """From the outermost points found to the image's edges: left, right, top, bottom."""
+    hints: tuple[str, ...]
+    """How to turn this camera so that the target comes to the middle."""
     brightest: float
     """Share of saturation of the brightest pixels (their 99.9th percentile)."""
     saturated: float
@@ -178,6 +184,8 @@ def _camera(role: Role, seen: _Seen, check: ViewCheck, site: Site) -> CameraLook
         focus=focus_figure(image),
         blur_px=None if target is None else float(target.blur_px),
         off_centre_px=off,
+        room_px=_room_px(seen),
+        hints=() if off is None else turning_hints(off, (width_px, height_px)),
         brightest=float(np.percentile(frame.pixels, 99.9)) / image.saturation_dn,
         saturated=float((frame.pixels >= image.saturation_dn).mean()),
         histogram=tuple(counts.tolist()),
@@ -185,6 +193,31 @@ def _camera(role: Role, seen: _Seen, check: ViewCheck, site: Site) -> CameraLook
         gain_db=frame.gain_db,
         temperature_c=frame.temperature_c,
     )
+
+
+def _room_px(seen: _Seen) -> dict[str, float] | None:
+    if not len(seen.points_px):
+        return None
+    height_px, width_px = seen.frame.pixels.shape
+    (left, top), (right, bottom) = seen.points_px.min(axis=0), seen.points_px.max(axis=0)
+    room = {
+        "left": left,
+        "right": width_px - 1 - right,
+        "top": top,
+        "bottom": height_px - 1 - bottom,
+    }
+    return {side: float(px) for side, px in room.items()}
+
+
+def turning_hints(off_centre_px: tuple[float, float], size_px: tuple[int, int]) -> tuple[str, ...]:
+    """How to turn a camera whose target is too far from the middle of its image."""
+    words = (("left", "right"), ("up", "down"))
+    hints = []
+    for off_px, length_px, (back, forth) in zip(off_centre_px, size_px, words, strict=True):
+        if abs(off_px) > CENTRED_SHARE * length_px:
+            word = forth if off_px > 0 else back
+            hints.append(f"turn this camera {word}: the target is {abs(off_px):.0f} px {word}")
+    return tuple(hints)
 
 
 def _found_text(role: Role, check: ViewCheck) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -24,10 +25,11 @@ from tests.waiting import PATIENCE_S
 def preview(tmp_path: Path):
     """A running preview: its address, and the process."""
     (tmp_path / "dcam.toml").write_text(SIMULATED, encoding="utf-8")
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")}
     command = [sys.executable, "-m", "daemon.ctl", "preview", "--port", "0"]
     paths = ["--config", str(tmp_path / "dcam.toml"), "--state", str(tmp_path / "state")]
     with subprocess.Popen(
-        command + paths, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command + paths, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
     ) as process:
         reported = process.stderr.readline()
         address = reported[reported.index("http") :].split()[0]
@@ -46,15 +48,18 @@ def test_preview_shows_both_cameras_and_ends_with_ctrl_c(preview) -> None:
     line = process.stdout.readline()
     assert "main: 5 of 5 discs found" in line
     assert "corners in view found" in line
-    assert b"<title>dcam preview</title>" in fetch(address)
-    reported = json.loads(fetch(address + "look.json"))
-    main, sub = reported["look"]["cameras"]["main"], reported["look"]["cameras"]["sub"]
+    assert b"<title>Aim and focus" in fetch(address)
+    root = address.removesuffix("aim")
+    look = json.loads(fetch(root + "api/aim"))
+    assert (look["live"], look["trouble"]) == (True, "")
+    main, sub = look["cameras"]["main"], look["cameras"]["sub"]
     assert main["found"] == "5 of 5 discs found"
     assert main["problems"] == []
     assert sum(sub["histogram"]) == 640 * 400
     assert max(abs(shift) for shift in main["off_centre_px"]) < 100
+    assert 0 < min(main["room_px"].values()) < max(main["room_px"].values()) < 640
     for name in ("main.jpg", "sub.jpg", "main_detail.png", "sub_detail.png"):
-        picture = cv2.imdecode(np.frombuffer(fetch(address + name), np.uint8), 0)
+        picture = cv2.imdecode(np.frombuffer(fetch(f"{root}aim/{name}"), np.uint8), 0)
         assert picture.shape == ((400, 640) if "detail" not in name else (400, 480))
     process.send_signal(signal.SIGINT)
     assert process.wait(PATIENCE_S) == 0
@@ -66,11 +71,11 @@ def test_preview_answers_only_this_machine_and_only_what_it_has(preview) -> None
     with pytest.raises(urllib.error.HTTPError, match="403"):
         fetch(address, host="bridge.example:80")
     with pytest.raises(urllib.error.HTTPError, match="404"):
-        fetch(address + "../../etc/passwd")
+        fetch(address + "/../../etc/passwd")
 
 
 def test_a_port_that_is_taken_is_one_line(preview, ctl: Ctl, tmp_path: Path) -> None:
-    port = preview[0].rstrip("/").rpartition(":")[2]
+    port = preview[0].removesuffix("/aim").rpartition(":")[2]
     ran = ctl(
         *("preview", "--port", port, "--config", tmp_path / "dcam.toml"),
         *("--state", tmp_path / "other"),

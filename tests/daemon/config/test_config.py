@@ -303,7 +303,18 @@ def test_every_mistake_is_reported_at_once(write) -> None:
             "[[simulation.scenarios]]\nkind = 'snow'\nstart_min = 3\nend_min = 3",
             r"simulation.scenarios\[0\].end_min: must be greater than start_min = 3, is 3",
         ),
-        ("[web]\nport = 80", "web: unknown key; known here"),
+        ("[wifi]\nport = 80", "wifi: unknown key; known here"),
+        ("[web]\nhost = 'pier'", 'web.host: "pier" is no address; write "127.0.0.1"'),
+        ("[web]\ntoken = 'short'", "web.token: must have at least 16 characters"),
+        (
+            "[web]\nhost = '0.0.0.0'\nhosts = ['pier-3']",
+            "web.token: missing; whoever reaches 0.0.0.0 could look",
+        ),
+        (
+            "[web]\nhost = '::'\ntoken_file = 'token'",
+            "web.hosts: missing; list the names or addresses",
+        ),
+        ("[web]\nhosts = ['a b']", "web.hosts.*not shown"),
     ],
 )
 def test_optional_sections_are_checked_as_well(write, extra: str, expected: str) -> None:

@@ -1,0 +1,106 @@
+"""The page's side of its worker: started when it is needed, ended when it is idle or hangs."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from daemon.loop_cache import loop_cache
+
+DEADLINE_S = 60.0
+"""For one answer; the first one may have loops to compile."""
+IDLE_S = 60.0
+MOST_WAITING = 12
+_LONGEST_ANSWER = 64 * 2**20
+
+
+class WorkerError(Exception):
+    """No answer; the message is one line for people."""
+
+
+class Worker:
+    """Answers one question after another."""
+
+    def __init__(self, config: Path) -> None:
+        self._config = config
+        self._process: asyncio.subprocess.Process | None = None
+        self._turn = asyncio.Lock()
+        self._waiting = 0
+        self._idle: asyncio.TimerHandle | None = None
+
+    async def ask(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        """Ask, and wait for the answer. Raises WorkerError."""
+        if self._waiting >= MOST_WAITING:
+            msg = "too many frames are asked for at once; try again"
+            raise WorkerError(msg)
+        self._waiting += 1
+        try:
+            async with self._turn:
+                return await self._answer(asked)
+        finally:
+            self._waiting -= 1
+
+    async def _answer(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        if self._idle is not None:
+            self._idle.cancel()
+        try:
+            async with asyncio.timeout(DEADLINE_S):
+                process = await self._running()
+                assert process.stdin is not None  # noqa: S101 - piped
+                assert process.stdout is not None  # noqa: S101 - piped
+                process.stdin.write(json.dumps(asked).encode() + b"\n")
+                await process.stdin.drain()
+                line = await process.stdout.readline()
+        except TimeoutError:
+            self._kill()
+            msg = f"the frames were not read within {DEADLINE_S:.0f} s; try again"
+            raise WorkerError(msg) from None
+        except (OSError, ValueError) as error:
+            self._kill()
+            msg = f"the frames cannot be read: {error}"
+            raise WorkerError(msg) from None
+        except asyncio.CancelledError:  # the next answer must not be taken for the next question's
+            self._kill()
+            raise
+        self._idle = asyncio.get_running_loop().call_later(IDLE_S, self._kill)
+        if not line:
+            self._kill()
+            msg = "the process that reads frames ended; the log of dcam-web says why"
+            raise WorkerError(msg)
+        said: dict[str, Any] = json.loads(line)
+        if "error" in said:
+            raise WorkerError(said["error"])
+        return said
+
+    async def _running(self) -> asyncio.subprocess.Process:
+        if self._process is None or self._process.returncode is not None:
+            cache = loop_cache()
+            self._process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-m", "daemon.web.finder", str(self._config)),
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+                limit=_LONGEST_ANSWER,
+                env={**os.environ, **({"NUMBA_CACHE_DIR": cache} if cache else {})},
+            )
+        return self._process
+
+    def _kill(self) -> None:
+        if self._process is not None and self._process.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                self._process.kill()
+        self._process = None
+
+    async def close(self) -> None:
+        """End the process."""
+        if self._idle is not None:
+            self._idle.cancel()
+        process = self._process
+        self._kill()
+        if process is not None:
+            await process.wait()
