@@ -75,7 +75,9 @@ def _named(model: type[BaseModel], item: ErrorDetails) -> Location:
 
 
 def _is_secret(location: Location) -> bool:
-    return location[:1] in [(name,) for name in _UNQUOTED] and location[1:2] not in [(name,) for name in _QUOTED]
+    return location[:1] in [(name,) for name in _UNQUOTED] and location[1:2] not in [
+        (name,) for name in _QUOTED
+    ]
 
 
 def _has_wrong_value(location: Location, details: list[ErrorDetails]) -> bool:
