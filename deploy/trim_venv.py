@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Take out of an environment what dcam never uses, and list the modules that it does load.
 
-Use: ENVIRONMENT/bin/python3 trim_venv.py [--strip]
-What goes, and why, stands here and nowhere else: CUTS and, with --strip, symbol tables. Licences
-stay.
-A library that no longer loads after stripping ends this with its name.
+Use: ENVIRONMENT/bin/python3 trim_venv.py [--libraries]
+What goes, and why, stands here: CUTS, and with --libraries also symbol tables and what
+slim_opencv.py says; for those gcc, readelf and eu-strip (elfutils) are needed. Licences stay. A
+library that then no longer loads ends this with its name.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ import sysconfig
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+
+from slim_opencv import slim_opencv
 
 SITE = Path(sysconfig.get_path("purelib"))
 OURS = ("core", "drivers", "daemon", "migrations")
@@ -141,10 +143,10 @@ def is_file(module: object) -> bool:
 
 
 def main() -> None:
-    """Cut, strip if asked, list."""
+    """Cut, work on the libraries if asked, list."""
     gone = cut()
-    if "--strip" in sys.argv[1:]:
-        gone += strip()
+    if "--libraries" in sys.argv[1:]:
+        gone += slim_opencv(SITE) + strip()
     list_loaded()
     print(f"dcam: {gone / 1e6:.0f} MB that are not used taken out of the environment")
 
