@@ -34,11 +34,7 @@ CUTS = {
         *("harvesters/test", "numpy/_core/_*_tests.*.so", "numpy/_core/_simd.*.so"),
     ],
     "sources and headers of what is compiled, and types: nothing is compiled against them here": [
-        *(
-            f"**/*.{ending}"
-            for ending in ("c", "h", "cpp", "hpp", "pyx", "pxd", "pxi", "pyi", "f90")
-        ),
-        *("numpy/f2py", "numpy/distutils"),
+        f"**/*.{ending}" for ending in ("c", "h", "cpp", "hpp", "pyx", "pxd", "pxi", "pyi", "f90")
     ],
     "numba on graphics cards, and with Intel's threads, which are not installed": [
         *("numba/cuda", "numba/np/ufunc/tbbpool.*.so"),
