@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.stamp-installed
 
 .DELETE_ON_ERROR:
-.PHONY: help venv demo test check bench picture clean install uninstall deb
+.PHONY: help venv demo test check bench picture docs clean install uninstall deb
 
 help:
 	@echo "make venv    make .venv with all that is needed, and do nothing else: .venv/bin/dcam-ctl"
@@ -18,6 +18,7 @@ help:
 	@echo "make check   lint, types, import contracts"
 	@echo "make bench   measure time and memory: docs/benchmarks.md"
 	@echo "make picture draw docs/images/architecture.svg from the code (needs graphviz)"
+	@echo "make docs    the documents as a site: out/docs/index.html"
 	@echo "make install install or upgrade the service, as root: /opt/dcam; make uninstall keeps data"
 	@echo "make deb     build a Debian package: dist/"
 	@echo "make clean   remove .venv and everything made here"
@@ -44,6 +45,10 @@ bench: $(INSTALLED)
 
 picture: $(INSTALLED)
 	$(BIN)/python docs/draw_architecture.py
+
+docs: $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --group docs
+	$(BIN)/python docs/site/build.py out/docs
 
 # Neither works in this folder's environment: each makes one of its own, with its pip.
 install: $(VENV)/.stamp-venv
