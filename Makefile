@@ -52,6 +52,7 @@ docs: $(INSTALLED)
 
 # Neither works in this folder's environment: each makes one of its own, with its pip.
 install: $(VENV)/.stamp-venv
+	@sh .ci/system-packages $(PYTHON) manual
 	@PYTHON=$(PYTHON) deploy/install $(BIN)/python
 
 uninstall:

@@ -54,14 +54,13 @@ def commands() -> str:
 
 def keys() -> str:
     """Every key of `dcam.toml`: kind, limits, default from the model, and what the example says."""
-    schema = Config.model_json_schema()
     page = [
         *("# Keys of the config", ""),
         "What `dcam.toml` may hold, table by table, as `config.example.toml` explains it.",
         "A key without a default is either required or left out; unknown keys are refused.",
     ]
-    said = _sections(EXAMPLE)
-    for table, properties in _tables(schema, schema):
+    said = sections(EXAMPLE)
+    for table, properties in tables():
         page += ["", f"## [{table}]", "", "| key | kind | default |", "| --- | --- | --- |"]
         page += [f"| `{key}` | {kind} | {default} |" for key, kind, default in properties]
         if table in said:
@@ -110,7 +109,7 @@ def _said_of(word: str) -> str:
     raise ValueError(msg)
 
 
-def _sections(example: str) -> dict[str, str]:
+def sections(example: str) -> dict[str, str]:
     """Split the example: table to its lines."""
     starts = list(TABLE.finditer(example))
     ends = [start.start() for start in starts[1:]] + [len(example)]
@@ -121,10 +120,16 @@ def _sections(example: str) -> dict[str, str]:
     return found
 
 
+def tables() -> Iterator[tuple[str, list[tuple[str, str, str]]]]:
+    """Yield every table of the config with its keys, each with kind and default."""
+    schema = Config.model_json_schema()
+    yield from _tables(schema, schema)
+
+
 def _tables(
     schema: dict[str, Any], whole: dict[str, Any], above: str = ""
 ) -> Iterator[tuple[str, list[tuple[str, str, str]]]]:
-    """Yield every table with its keys, each with kind and default; those below it follow."""
+    """Yield a table, if it has keys of its own, and those below it."""
     plain, below = [], []
     required = schema.get("required", [])
     for key, described in schema["properties"].items():

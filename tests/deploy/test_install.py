@@ -23,6 +23,7 @@ OFFLINE = {
     "WHEEL_FLAGS": "--no-build-isolation --no-index",
     "PIP_FLAGS": "--no-deps --no-index",
     "DEB_COMPRESSION": "gzip",
+    "MANUAL": "no",
 }
 
 
@@ -44,7 +45,7 @@ def install(tree: Path, **environment: str) -> subprocess.CompletedProcess[str]:
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A tree with one installation; not to be changed."""
     tree = tmp_path_factory.mktemp("tree")
-    done = install(tree)
+    done = install(tree, MANUAL="yes", MAN_PYTHON=sys.executable)
     assert done.returncode == 0, done.stderr
     return tree
 
@@ -57,6 +58,13 @@ def tree(installed: Path, tmp_path: Path) -> Path:
 
 def release(tree: Path) -> str:
     return str((tree / "opt/dcam/venv").readlink())
+
+
+MANUAL = (
+    "share/man/man5/dcam.toml.5.gz",
+    "share/man/man8/dcamd.8.gz",
+    *(f"share/man/man1/dcam-ctl{part}.1.gz" for part in ("", "-status", "-simulate-site")),
+)
 
 
 def test_what_the_service_needs_is_in_place(installed: Path) -> None:
@@ -73,7 +81,10 @@ def test_what_the_service_needs_is_in_place(installed: Path) -> None:
         "lib/udev/rules.d/60-dcam.rules",
         "share/dcam/config.example.toml",
         "share/doc/dcam/docs/install.md",
-        "share/bash-completion/completions/dcam-ctl",
+        *(f"share/bash-completion/completions/{program}" for program in ("dcamd", "dcam-ctl")),
+        *(f"share/zsh/site-functions/_{program}" for program in ("dcamd", "dcam-ctl")),
+        *(f"share/fish/vendor_completions.d/{program}.fish" for program in ("dcamd", "dcam-ctl")),
+        *(MANUAL if shutil.which("help2man") else ()),
     ):
         assert stat.S_IMODE((installed / "usr/local" / name).stat().st_mode) == 0o644
     for program in ("dcamd", "dcam-ctl"):
@@ -275,8 +286,8 @@ def test_debian_package_holds_it_all(package: Path, tmp_path: Path) -> None:
         *(f"lib/systemd/system/{unit}" for unit in units),
         "lib/udev/rules.d/60-dcam.rules",
         *(f"lib/dcam/{script}" for script in ("live", "self-test", "rename-venv", "take-over")),
-        "share/man/man8/dcamd.8.gz",
-        *(f"share/man/man1/dcam-ctl{command}.1.gz" for command in ("", "-status", "-alarm")),
+        *(*MANUAL, "share/zsh/vendor-completions/_dcam-ctl"),
+        *("share/fish/vendor_completions.d/dcamd.fish", "share/bash-completion/completions/dcamd"),
     ):
         assert f"/usr/{name}" in files
     assert not [name for name in files if not name.startswith("/usr/") and name != "/"]

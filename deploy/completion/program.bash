@@ -1,5 +1,5 @@
-# bash completion of dcam-ctl: click knows the words.
-_dcam_ctl() {
+# bash completion of PROGRAM: click knows the words. put-files writes its name into it.
+_FUNCTION() {
   local kind word
   COMPREPLY=()
   while IFS=, read -r kind word; do
@@ -9,6 +9,6 @@ _dcam_ctl() {
       file) compopt -o default ;;
     esac
   done < <(COMP_WORDS="${COMP_WORDS[*]}" COMP_CWORD=$COMP_CWORD \
-    _DCAM_CTL_COMPLETE=bash_complete "$1" 2>/dev/null)
+    _VARIABLE_COMPLETE=bash_complete "$1" 2>/dev/null)
 }
-complete -o nosort -F _dcam_ctl dcam-ctl
+complete -o nosort -F _FUNCTION PROGRAM
