@@ -42,7 +42,7 @@ CUTS = {
     "matplotlib's example data, and fonts that figures of ours do not name": [
         "matplotlib/mpl-data/sample_data",
         *(f"matplotlib/mpl-data/fonts/{name}" for name in ("afm", "pdfcorefonts")),
-        *(f"matplotlib/mpl-data/fonts/ttf/{name}*" for name in ("STIX", "LastResort")),
+        "matplotlib/mpl-data/fonts/ttf/STIX*",
     ],
     "reportlab's PostScript fonts: our pages use those that every PDF reader has": [
         *("reportlab/fonts/*.pfb", "reportlab/fonts/*.sfd"),
