@@ -1,0 +1,181 @@
+"""Noise that remembers: white noise and exponentially forgetting parts, fast at any length and gap.
+
+The covariance of n values at times t is K = s^2 (I + sum_m g_m^2 exp(-|t_i - t_j| / tau_m)). A part
+alone is an Ornstein-Uhlenbeck process, whose inverse covariance Q_m is tridiagonal at any times.
+With the parts as hidden states x, y = H x + e, Woodbury's formula gives
+
+    K^-1 = (I - H P^-1 H') / s^2,    P = Q + H' H,    |K| = s^2n |P| / |Q|,
+
+and P is banded, so that a product with K^-1 costs O(n) by LAPACK's banded Cholesky factor. Fitted by
+restricted maximum likelihood (Patterson & Thompson, Biometrika 58, 1971), which allows for the
+coefficients that were fitted to the same values.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.optimize import minimize
+
+from core.arrays import FloatArray
+
+DAY_S = 86400.0
+"""Times are counted in days within the fits."""
+MEMORIES_DAYS = ((0.03, 1.5), (2.0, 60.0))
+"""Bounds of the memory of each part: hours of weather and light, weeks of weather."""
+_GAIN_LIMITS = (1e-3, 300.0)
+"""Bounds of a part's standard deviation over that of the white noise: none, and nothing else."""
+_START_GAIN = 0.5
+"""Where the search begins; it is the same for all records."""
+_ITERATIONS = 40
+"""Of the search; it ends after some 15 where the likelihood is well-behaved."""
+_ENOUGH = 0.01
+"""Gain in log-likelihood below which a further step of the search is worth nothing: a hundredth of
+what one standard deviation costs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A part of the noise that forgets exponentially."""
+
+    sigma_mm: float
+    memory_days: float
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """What is left after the fit, as a random process."""
+
+    white_mm: float
+    """Standard deviation of what no other value shares."""
+    parts: tuple[Part, ...]
+
+    @property
+    def sigma_mm(self) -> float:
+        """Standard deviation of a value."""
+        return float(np.sqrt(self.white_mm**2 + sum(part.sigma_mm**2 for part in self.parts)))
+
+
+class Whitening:
+    """The inverse of a covariance, s^2 = 1, factorised once; applied to any number of columns."""
+
+    def __init__(self, times_days: FloatArray, gains: FloatArray, memories_days: FloatArray) -> None:
+        """Factorise. `times_days` (n,) increasing; `gains`, `memories_days` (parts,)."""
+        n, parts = len(times_days), len(gains)
+        self._n, self._parts = n, parts
+        band = np.zeros((parts + 1, n, parts))  # lower: [distance, row, part]
+        band[0] += 1.0
+        for distance in range(1, parts):  # H'H couples the parts of one value
+            band[distance, :, : parts - distance] = 1.0
+        log_Q = 0.0
+        steps = np.diff(times_days)
+        for part, (gain, memory) in enumerate(zip(gains, memories_days, strict=True)):
+            left = np.exp(-steps / memory)
+            new = -np.expm1(-2.0 * steps / memory)
+            precision = np.ones(n)
+            precision[1:] = 1.0 / new
+            precision[:-1] += left**2 / new
+            band[0, :, part] += precision / gain**2
+            band[parts, :-1, part] = -left / new / gain**2
+            log_Q -= 2 * n * np.log(gain) + float(np.log(new).sum())
+        self._factor = cholesky_banded(band.reshape(parts + 1, n * parts), lower=True)
+        self.log_determinant = 2.0 * float(np.log(self._factor[0]).sum()) - log_Q
+        """Of K with s^2 = 1."""
+
+    def solve(self, columns: FloatArray) -> FloatArray:
+        """K^-1 times columns (n, k), s^2 = 1."""
+        hidden = np.repeat(columns, self._parts, axis=0)
+        smooth = cho_solve_banded((self._factor, True), hidden)  # noqa: FBT003 - SciPy's pair
+        return columns - smooth.reshape(self._n, self._parts, -1).sum(axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Gls:
+    """Generalised least squares with a given correlation."""
+
+    coefficients: FloatArray
+    """(p,)."""
+    covariance: FloatArray
+    """(p, p)."""
+    residuals: FloatArray
+    """(n,) values less the fit."""
+    whitened: FloatArray
+    """(n,) K^-1 times the residuals, K in mm2."""
+    weighted_design: FloatArray
+    """(n, p) K^-1 times the design."""
+    variance_mm2: float
+    """s^2."""
+    minus_log_likelihood: float
+    """Restricted, but for a constant."""
+
+
+def gls(whitening: Whitening, design: FloatArray, values_mm: FloatArray) -> Gls:
+    """Fit coefficients of a design (n, p) of full rank to values (n,)."""
+    n, p = design.shape
+    scale = np.maximum(np.linalg.norm(design, axis=0), np.finfo(float).tiny)
+    solved = whitening.solve(np.column_stack([design / scale, values_mm]))
+    weighted, solved_values = solved[:, :p], solved[:, p]
+    normal = (design / scale).T @ weighted
+    inverse = np.linalg.inv(normal)
+    coefficients = inverse @ (weighted.T @ values_mm)
+    residuals = values_mm - (design / scale) @ coefficients
+    whitened = solved_values - weighted @ coefficients
+    variance = max(float(residuals @ whitened) / (n - p), np.finfo(float).tiny)
+    _, log_normal = np.linalg.slogdet(normal)
+    likelihood = 0.5 * ((n - p) * np.log(variance) + whitening.log_determinant + log_normal)
+    return Gls(
+        coefficients / scale,
+        variance * inverse / np.outer(scale, scale),
+        residuals,
+        whitened / variance,
+        weighted * scale / variance,
+        variance,
+        float(likelihood),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseFit:
+    """Noise and coefficients that explain values best."""
+
+    noise: Noise
+    whitening: Whitening
+    gls: Gls
+    start: FloatArray
+    """Where a search for a similar record may begin."""
+
+
+def fit_noise(
+    times_days: FloatArray,
+    design: FloatArray,
+    values_mm: FloatArray,
+    memories_days: tuple[tuple[float, float], ...] = MEMORIES_DAYS,
+    start: FloatArray | None = None,
+) -> NoiseFit:
+    """Fit the noise by restricted maximum likelihood, with the coefficients of a design (n, p)."""
+    parts = len(memories_days)
+    bounds = [tuple(np.log(_GAIN_LIMITS))] * parts + [tuple(np.log(m)) for m in memories_days]
+
+    def fitted(logs: FloatArray) -> tuple[Whitening, Gls]:
+        whitening = Whitening(times_days, np.exp(logs[:parts]), np.exp(logs[parts:]))
+        return whitening, gls(whitening, design, values_mm)
+
+    if start is None:
+        start = np.array([np.log(_START_GAIN)] * parts + [np.mean(b) for b in bounds[parts:]])
+    found = minimize(
+        lambda logs: fitted(logs)[1].minus_log_likelihood,
+        start,
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"maxiter": _ITERATIONS, "ftol": _ENOUGH / len(values_mm), "eps": 1e-3},
+    )
+    whitening, fit = fitted(found.x)
+    white_mm = float(np.sqrt(fit.variance_mm2))
+    gains, memories = np.exp(found.x[:parts]), np.exp(found.x[parts:])
+    noise = Noise(
+        white_mm,
+        tuple(Part(float(white_mm * g), float(m)) for g, m in zip(gains, memories, strict=True)),
+    )
+    return NoiseFit(noise, whitening, fit, found.x)

@@ -1,0 +1,210 @@
+"""Least squares with noise that remembers, single bad values left out, further columns tried."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from core.analysis.noise import DAY_S, MEMORIES_DAYS, Gls, Noise, NoiseFit, Whitening, fit_noise
+from core.arrays import BoolArray, FloatArray
+
+YEAR_DAYS = 365.25
+"""Mean length of a year."""
+_DAILY = (1, 2)
+"""Harmonics of the day: its length and half of it."""
+_YEARLY = (1, 2)
+"""Harmonics of the year."""
+LEAST_SEASON_DAYS = 1.5 * YEAR_DAYS
+"""A shorter record cannot tell a year's cycle from a trend. Chosen."""
+_OUTLYING = 5.0
+"""Robust standard deviations beyond which a value that disagrees with both neighbours is left out."""
+_PASSES = 3
+"""Searches for single bad values: a big one hides smaller ones."""
+_MOST_OUT = 0.05
+"""Share of the values that may be left out in one pass."""
+_MAD_TO_SIGMA = 1.4826
+"""As in `binning`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A value with its standard deviation and a two-sided interval."""
+
+    value: float
+    sigma: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A design fitted to values."""
+
+    keep: BoolArray
+    """(n,) values that were used; the others are single bad ones."""
+    noise_fit: NoiseFit
+    freedom: float
+    """Degrees of freedom of the coefficients' intervals."""
+
+    @property
+    def gls(self) -> Gls:
+        """Coefficients and residuals, of the values that were used."""
+        return self.noise_fit.gls
+
+    @property
+    def noise(self) -> Noise:
+        """What is left."""
+        return self.noise_fit.noise
+
+    def interval(self, combination: FloatArray, confidence: float) -> Interval:
+        """Of a linear combination (p,) of the coefficients."""
+        value = float(combination @ self.gls.coefficients)
+        sigma = float(np.sqrt(combination @ self.gls.covariance @ combination))
+        half = sigma * float(stats.t.ppf(0.5 + 0.5 * confidence, self.freedom))
+        return Interval(value, sigma, value - half, value + half)
+
+
+def robust_fit(
+    times_days: FloatArray,
+    design: FloatArray,
+    values_mm: FloatArray,
+    memories_days: tuple[tuple[float, float], ...] = MEMORIES_DAYS,
+) -> Fit:
+    """Fit a design (n, p); values that disagree with both neighbours are left out."""
+    keep = np.ones(len(values_mm), dtype=np.bool_)
+    start = None
+    for last in range(_PASSES):
+        fit = fit_noise(
+            times_days[keep], design[keep], values_mm[keep], memories_days, start
+        )
+        start = fit.start
+        out = outliers(fit.whitening, fit.gls) if last < _PASSES - 1 else np.zeros(0, np.bool_)
+        if not out.any():
+            break
+        keep[np.flatnonzero(keep)[out]] = False
+    return Fit(keep, fit, freedom(times_days[keep], design.shape[1], fit.noise))
+
+
+def freedom(times_days: FloatArray, parameters: int, noise: Noise) -> float:
+    """Degrees of freedom of the noise's level, given its memory.
+
+    The number of values less the parameters for white noise; a part that remembers counts one value
+    in two of its memories (the integral of its autocorrelation).
+    """
+    spans = (times_days[-1] - times_days[0]) / (
+        2.0 * np.array([part.memory_days for part in noise.parts])
+    )
+    numbers = np.array([float(len(times_days)), *np.minimum(spans, len(times_days))])
+    variances = np.array([noise.white_mm**2, *(part.sigma_mm**2 for part in noise.parts)])
+    # The variance of a long mean is the sum of variance over number: Welch and Satterthwaite.
+    shares = variances / numbers
+    effective = shares.sum() ** 2 / (shares**2 / numbers).sum()
+    return float(max(effective - 2.0, 3.0, min(len(times_days) - parameters, effective) - 2.0))
+
+
+def outliers(whitening: Whitening, fit: Gls) -> BoolArray:
+    """(n,) single values that neither the ones before nor the ones after explain.
+
+    K^-1 r is the residual from all other values over its variance (Chen & Liu, J. Am. Stat. Assoc.
+    88, 1993); a step that explains the values better than one bad value stays.
+    """
+    scale = _MAD_TO_SIGMA * float(np.median(np.abs(fit.whitened)))
+    single = np.abs(fit.whitened) / max(scale, np.finfo(float).tiny)
+    step = np.abs(step_scores(fit)) / np.sqrt(step_information(whitening, fit))
+    neighbours = np.maximum(step, np.append(step[1:], 0.0))
+    out = (single > _OUTLYING) & (single > neighbours)
+    if out.sum() > _MOST_OUT * len(out):
+        limit = np.quantile(single, 1.0 - _MOST_OUT)
+        out &= single > limit
+    return out
+
+
+def step_scores(fit: Gls) -> FloatArray:
+    """(n,) derivative of the log-likelihood by a step from each value on."""
+    return np.cumsum(fit.whitened[::-1])[::-1]
+
+
+_INFORMATION_GRID = 60
+"""Places at which a step's information is computed; it is smooth in between."""
+_INFORMATION_GAPS = 60
+"""Of further places: after the longest gaps, and the last values."""
+_TAIL = 36
+"""Last values at each of which it is computed: there it changes fast."""
+
+
+def step_information(whitening: Whitening, fit: Gls) -> FloatArray:
+    """(n,) inverse variance of a step's size from each value on, given the other coefficients."""
+    n = len(fit.residuals)
+    places = np.unique(
+        np.concatenate(
+            [
+                np.linspace(0, n - 1, min(n, _INFORMATION_GRID)).astype(np.int64),
+                np.arange(max(0, n - _TAIL), n),
+                np.arange(min(n, _TAIL)),
+            ]
+        )
+    )
+    steps = (np.arange(n)[:, None] >= places).astype(np.float64)
+    own = np.einsum("ij,ij->j", steps, whitening.solve(steps)) / fit.variance_mm2
+    shared = np.cumsum(fit.weighted_design[::-1], axis=0)[::-1]  # (n, p) design' K^-1 step
+    taken = np.einsum("ij,jk,ik->i", shared, fit.covariance, shared)
+    found = np.interp(np.arange(n), places, own)
+    return np.maximum(found - taken, 1e-9 * found)
+
+
+def try_columns(
+    whitening: Whitening, fit: Gls, columns: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Size (k,) and its inverse variance (k,) of each column (n, k), added alone to the design."""
+    score = columns.T @ fit.whitened
+    own = np.einsum("ij,ij->j", columns, whitening.solve(columns)) / fit.variance_mm2
+    shared = fit.weighted_design.T @ columns
+    taken = np.einsum("ik,ij,jk->k", shared, fit.covariance, shared)
+    information = np.maximum(own - taken, 1e-9 * own)
+    return score / information, information
+
+
+def harmonics(times_s: FloatArray, period_days: float, numbers: tuple[int, ...]) -> FloatArray:
+    """(n, 2 numbers) cosines and sines of a period."""
+    angle = 2.0 * np.pi * times_s / DAY_S / period_days
+    return np.column_stack([f(k * angle) for k in numbers for f in (np.cos, np.sin)])
+
+
+def daily(times_s: FloatArray) -> FloatArray:
+    """(n, 4) harmonics of the day; the same every day."""
+    return harmonics(times_s, 1.0, _DAILY)
+
+
+def yearly(times_s: FloatArray) -> FloatArray:
+    """(n, 4) harmonics of the year; (n, 0) for a record that is too short."""
+    if times_s[-1] - times_s[0] < LEAST_SEASON_DAYS * DAY_S:
+        return np.empty((len(times_s), 0))
+    return harmonics(times_s, YEAR_DAYS, _YEARLY)
+
+
+def hinges(times_days: FloatArray, every_days: float) -> FloatArray:
+    """(n, 1 + knots) a constant and a line that may bend at equal distances."""
+    first, last = float(times_days[0]), float(times_days[-1])
+    spans = max(1, round((last - first) / every_days))
+    knots = np.linspace(first, last, spans + 1)[:-1]
+    lines = np.maximum(times_days[:, None] - knots, 0.0)
+    return np.column_stack([np.ones(len(times_days)), lines])
+
+
+def independent(columns: FloatArray) -> FloatArray:
+    """The columns (n, p) without those that others already contain.
+
+    By a pivoted QR factorisation; which of two equal ones stays is the first.
+    """
+    kept: list[int] = []
+    basis = np.empty((len(columns), 0))
+    for place, column in enumerate(columns.T):
+        left = column - basis @ (basis.T @ column)
+        left -= basis @ (basis.T @ left)
+        size = float(np.linalg.norm(left))
+        if size > 1e-8 * max(float(np.linalg.norm(column)), np.finfo(float).tiny):
+            kept.append(place)
+            basis = np.column_stack([basis, left / size])
+    return columns[:, kept]
