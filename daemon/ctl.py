@@ -34,6 +34,7 @@ COMMANDS = {
     "gaps": "List slots without a measurement, and why.",
     "export": "Write measurements as a table.",
     "send": "Pass rows on to MQTT and InfluxDB, each once.",
+    "analyse": "Days, temperature, trend, steps and creep, with confidence.",
     "plot": "Draw a figure of the record, PNG or SVG.",
     "report": "Write the record of a span as one HTML file.",
     "compare": "Hold the record against levelling, LiDAR or a model.",

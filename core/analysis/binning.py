@@ -140,4 +140,5 @@ def _medians(values: FloatArray, bins: IntArray, n: int) -> FloatArray:
     first = np.cumsum(count) - count
     ordered = values[order]
     lower, upper = first + (count - 1) // 2, first + count // 2
-    return 0.5 * (ordered[lower] + ordered[upper])
+    found: FloatArray = 0.5 * (ordered[lower] + ordered[upper])
+    return found

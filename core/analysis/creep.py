@@ -1,10 +1,10 @@
-"""Creep after loading: five laws, how well each explains the record, and what they predict together.
+"""Creep after loading: how well five laws explain the record, and what they predict together.
 
-Each law is one or two curves f(t; shape) of the time t since loading, with a size each and one zero:
-y = c + sum_k a_k f_k. All shapes within physical bounds are tried on a grid that closes in on the
-likely ones; zero, sizes and what is regressed beside them are integrated analytically, so that every
-shape of every law has an evidence, and a prediction is a mixture of Student's t over all of them: its
-interval covers the choice of the law (Hoeting et al., Statistical Science 14, 1999).
+Each law is one or two curves f(t; shape) of the time t since loading, with a size each and one
+zero: y = c + sum_k a_k f_k. All shapes within physical bounds are tried on a grid that closes in on
+the likely ones; zero, sizes and what is regressed beside them are integrated analytically, so that
+every shape of every law has an evidence. A prediction is a mixture of Student's t over all of them:
+its interval covers the choice of the law (Hoeting et al., Statistical Science 14, 1999).
 
 Sources of the curves: EN 1992-1-1:2004 (B.7); ACI 209R-92, section 2.4; Bazant & Osman, Cem. Concr.
 Res. 6 (1976) for the power law; Kelvin chain of two elements for the double exponential.
@@ -18,13 +18,11 @@ from enum import StrEnum
 from itertools import starmap
 
 import numpy as np
-from scipy import stats
-from scipy.optimize import brentq
 from scipy.special import logsumexp
 
 from core.analysis.binning import HOUR_S, bins_of
 from core.analysis.noise import DAY_S, Gls, NoiseFit, Whitening, fit_noise, gls
-from core.analysis.regression import Interval, daily, freedom, independent
+from core.analysis.regression import Interval, daily, freedom, independent, mixed
 from core.arrays import FloatArray
 
 MEMORIES_DAYS = ((0.1, 2.0), (2.0, 30.0))
@@ -98,17 +96,19 @@ def curves(law: Law, days: FloatArray, shape: FloatArray) -> FloatArray:
     [0.0, 10.0]
     """
     since = np.maximum(days, 0.0)[:, None]
+    found: FloatArray
     match law:
         case Law.LOGARITHMIC:
-            return np.log1p(since / shape)
+            found = np.log1p(since / shape)
         case Law.POWER:
-            return since**shape
+            found = since**shape
         case Law.EUROCODE:
-            return (since / (shape + since)) ** _CODE_EXPONENT
+            found = (since / (shape + since)) ** _CODE_EXPONENT
         case Law.ACI:
-            return since ** shape[0] / (shape[1] + since ** shape[0])
+            found = since ** shape[0] / (shape[1] + since ** shape[0])
         case Law.DOUBLE_EXPONENTIAL:
-            return -np.expm1(-since / shape)
+            found = -np.expm1(-since / shape)
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,10 +141,10 @@ class Creep:
     laws: tuple[LawFit, ...]
     """The most probable first."""
     predictions: tuple[Prediction, ...]
-    days: int
-    """With a value."""
+    values: int
+    """Means that were fitted: of hours at first, then of days."""
     sigma_mm: float
-    """Of a day's mean about the best law."""
+    """Of such a mean about the best law."""
 
 
 def fit_creep(
@@ -168,7 +168,9 @@ def fit_creep(
         start = fit.start
         beside_all = _Beside.of(fit, design, days, level_mm)
         tried = [_tried(law, beside_all) for law in Law]
-        best = max((one for law in tried for one in law), key=lambda one: one.log_likelihood).columns
+        best = max(
+            (one for law in tried for one in law), key=lambda one: one.log_likelihood
+        ).columns
     degrees = freedom(days, design.shape[1] + 2, fit.noise)
     every = [one for law in tried for one in law]
     logs = np.array([one.log_evidence for one in every])
@@ -275,7 +277,10 @@ def _tried(law: Law, beside: _Beside) -> list[_Tried]:
         logs = np.array([one.log_likelihood for one in found])
         likely = places[logs > logs.max() - _UNLIKELY]
         step = (high - low) / _POINTS[len(low)]
-        closer = np.maximum(likely.min(axis=0) - step, 0.0), np.minimum(likely.max(axis=0) + step, 1)
+        closer = (
+            np.maximum(likely.min(axis=0) - step, 0.0),
+            np.minimum(likely.max(axis=0) + step, 1),
+        )
         if np.prod(closer[1] - closer[0]) > _STILL * np.prod(high - low):
             break
         low, high = closer
@@ -290,14 +295,14 @@ def _middles(low: float, high: float, number: int) -> FloatArray:
     return low + (np.arange(number) + 0.5) * (high - low) / number
 
 
-def _evidences(
-    law: Law, shapes: FloatArray, log_cell: float, beside: _Beside
-) -> list[_Tried]:
+def _evidences(law: Law, shapes: FloatArray, log_cell: float, beside: _Beside) -> list[_Tried]:
     """Each shape (k, parameters) beside the design."""
     base, freedom_of_all = beside.base, len(beside.days) - len(beside.base.coefficients)
     prior = beside.variance / (_SIZE_PRIOR * float(np.ptp(beside.level_mm))) ** 2
     ends = [curves(law, beside.days[-1:], shape)[0] for shape in shapes]
-    columns = [curves(law, beside.days, shape) / end for shape, end in zip(shapes, ends, strict=True)]
+    columns = [
+        curves(law, beside.days, shape) / end for shape, end in zip(shapes, ends, strict=True)
+    ]
     q = columns[0].shape[1]
     solved = beside.whitening.solve(np.hstack(columns)).reshape(len(beside.days), -1, q)
     found = []
@@ -371,15 +376,4 @@ def _predicted(
             for one, lever in zip(every, levers, strict=True)
         ]
     )
-    low, high = float((mean - 60 * sigma).min()), float((mean + 60 * sigma).max())
-
-    def quantile(probability: float) -> float:
-        def beyond(mm: float) -> float:
-            return float(weights @ stats.t.cdf((mm - mean) / sigma, degrees)) - probability
-
-        return float(brentq(beyond, low, high))
-
-    average = float(weights @ mean)
-    spread = float(np.sqrt(weights @ (sigma**2 + (mean - average) ** 2)))
-    tail = 0.5 - 0.5 * confidence
-    return Prediction(days, Interval(quantile(0.5), spread, quantile(tail), quantile(1.0 - tail)))
+    return Prediction(days, mixed(mean, sigma, weights, degrees, confidence))

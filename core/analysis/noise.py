@@ -6,16 +6,19 @@ With the parts as hidden states x, y = H x + e, Woodbury's formula gives
 
     K^-1 = (I - H P^-1 H') / s^2,    P = Q + H' H,    |K| = s^2n |P| / |Q|,
 
-and P is banded, so that a product with K^-1 costs O(n) by LAPACK's banded Cholesky factor. Fitted by
-restricted maximum likelihood (Patterson & Thompson, Biometrika 58, 1971), which allows for the
-coefficients that were fitted to the same values.
+and P is banded, so that a product with K^-1 costs O(n) by LAPACK's banded Cholesky factor. It is
+fitted by restricted maximum likelihood (Patterson & Thompson, Biometrika 58, 1971), which allows
+for the coefficients that were fitted to the same values.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.optimize import minimize
 
@@ -25,12 +28,19 @@ DAY_S = 86400.0
 """Times are counted in days within the fits."""
 MEMORIES_DAYS = ((0.03, 1.5), (2.0, 60.0))
 """Bounds of the memory of each part: hours of weather and light, weeks of weather."""
-_GAIN_LIMITS = (1e-3, 300.0)
+_GAIN_LIMITS = (0.02, 50.0)
 """Bounds of a part's standard deviation over that of the white noise: none, and nothing else."""
-_START_GAIN = 0.5
-"""Where the search begins; it is the same for all records."""
+_START_GAINS = (0.3, 1.0, 3.0)
+_START_MEMORIES = (0.3, 0.7)
+"""Where a search may begin, of all parts: gains, and places between a memory's bounds."""
+_REACH = 1.5
+"""How far a search may go at once, in logarithms: a leap may end on another hill."""
+_STAGES = 5
+"""Of the search, each within reach of the one before."""
 _ITERATIONS = 40
 """Of the search; it ends after some 15 where the likelihood is well-behaved."""
+_AT_BOUND = 0.05
+"""A start so near a bound, in logarithms, is given up: the search would stay there."""
 _ENOUGH = 0.01
 """Gain in log-likelihood below which a further step of the search is worth nothing: a hundredth of
 what one standard deviation costs."""
@@ -61,9 +71,12 @@ class Noise:
 class Whitening:
     """The inverse of a covariance, s^2 = 1, factorised once; applied to any number of columns."""
 
-    def __init__(self, times_days: FloatArray, gains: FloatArray, memories_days: FloatArray) -> None:
+    def __init__(
+        self, times_days: FloatArray, gains: FloatArray, memories_days: FloatArray
+    ) -> None:
         """Factorise. `times_days` (n,) increasing; `gains`, `memories_days` (parts,)."""
         n, parts = len(times_days), len(gains)
+        self.times_days = times_days
         self._n, self._parts = n, parts
         band = np.zeros((parts + 1, n, parts))  # lower: [distance, row, part]
         band[0] += 1.0
@@ -87,8 +100,9 @@ class Whitening:
     def solve(self, columns: FloatArray) -> FloatArray:
         """K^-1 times columns (n, k), s^2 = 1."""
         hidden = np.repeat(columns, self._parts, axis=0)
-        smooth = cho_solve_banded((self._factor, True), hidden)  # noqa: FBT003 - SciPy's pair
-        return columns - smooth.reshape(self._n, self._parts, -1).sum(axis=1)
+        smooth = cho_solve_banded((self._factor, True), hidden)
+        found: FloatArray = columns - smooth.reshape(self._n, self._parts, -1).sum(axis=1)
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,26 +170,88 @@ def fit_noise(
 ) -> NoiseFit:
     """Fit the noise by restricted maximum likelihood, with the coefficients of a design (n, p)."""
     parts = len(memories_days)
-    bounds = [tuple(np.log(_GAIN_LIMITS))] * parts + [tuple(np.log(m)) for m in memories_days]
+    limits = [_GAIN_LIMITS] * parts + list(memories_days)
+    bounds = [(float(np.log(low)), float(np.log(high))) for low, high in limits]
 
     def fitted(logs: FloatArray) -> tuple[Whitening, Gls]:
         whitening = Whitening(times_days, np.exp(logs[:parts]), np.exp(logs[parts:]))
         return whitening, gls(whitening, design, values_mm)
 
-    if start is None:
-        start = np.array([np.log(_START_GAIN)] * parts + [np.mean(b) for b in bounds[parts:]])
-    found = minimize(
-        lambda logs: fitted(logs)[1].minus_log_likelihood,
-        start,
-        method="L-BFGS-B",
-        bounds=bounds,
-        options={"maxiter": _ITERATIONS, "ftol": _ENOUGH / len(values_mm), "eps": 1e-3},
-    )
-    whitening, fit = fitted(found.x)
+    def minus_log_likelihood(logs: NDArray[Any]) -> float:
+        return fitted(logs)[1].minus_log_likelihood
+
+    edges = np.array(bounds).T
+    if start is None or (np.minimum(start - edges[0], edges[1] - start) < _AT_BOUND).any():
+        tried = _starts(edges, parts)
+        start = tried[int(np.argmin([minus_log_likelihood(logs) for logs in tried]))]
+    best = start
+    for _ in range(_STAGES):
+        low, high = np.maximum(edges[0], best - _REACH), np.minimum(edges[1], best + _REACH)
+        found = minimize(
+            minus_log_likelihood,
+            np.clip(best, low, high),
+            method="L-BFGS-B",
+            bounds=list(zip(low.tolist(), high.tolist(), strict=True)),
+            options={"maxiter": _ITERATIONS, "ftol": _ENOUGH / len(values_mm), "eps": 1e-3},
+        )
+        best = found.x
+        stopped = ((best <= low) & (low > edges[0])) | ((best >= high) & (high < edges[1]))
+        if not stopped.any():
+            break
+    whitening, fit = fitted(best)
     white_mm = float(np.sqrt(fit.variance_mm2))
-    gains, memories = np.exp(found.x[:parts]), np.exp(found.x[parts:])
+    gains, memories = np.exp(best[:parts]), np.exp(best[parts:])
     noise = Noise(
         white_mm,
         tuple(Part(float(white_mm * g), float(m)) for g, m in zip(gains, memories, strict=True)),
     )
-    return NoiseFit(noise, whitening, fit, found.x)
+    return NoiseFit(noise, whitening, fit, best)
+
+
+def _starts(edges: FloatArray, parts: int) -> list[FloatArray]:
+    """Where a search may begin: the likelihood has more than one hill."""
+    found = []
+    for gains in product(np.log(_START_GAINS), repeat=parts):
+        for place in _START_MEMORIES:
+            memories = (1.0 - place) * edges[0, parts:] + place * edges[1, parts:]
+            found.append(np.concatenate([gains, memories]))
+    return found
+
+
+def other_noises(
+    fit: NoiseFit,
+    times_days: FloatArray,
+    design: FloatArray,
+    values_mm: FloatArray,
+    memories_days: tuple[tuple[float, float], ...] = MEMORIES_DAYS,
+) -> tuple[tuple[Gls, ...], FloatArray]:
+    """The fit, and others with a weaker, stronger, shorter or longer slow part; their shares.
+
+    A record of a few memories does not determine its slow part: what it may be belongs in the
+    interval. Equally likely beforehand by the logarithms of size and memory.
+    """
+    parts = len(memories_days)
+    gains, memories = np.exp(fit.start[:parts]), np.exp(fit.start[parts:])
+    without = 1.0 + float(np.sum(gains[:-1] ** 2))
+    total = np.sqrt(without + gains[-1] ** 2)
+    found = [fit.gls]
+    for memory in np.geomspace(*memories_days[-1], _MEMORIES):
+        for share in _SHARES:
+            gain = min(share * total, _GAIN_LIMITS[1])
+            whitening = Whitening(
+                times_days, np.append(gains[:-1], gain), np.append(memories[:-1], memory)
+            )
+            found.append(gls(whitening, design, values_mm))
+    logs = np.array([-one.minus_log_likelihood for one in found])
+    weights = np.exp(logs - logs.max())
+    likely = weights > _UNLIKELY * weights.sum()
+    kept = tuple(one for one, there in zip(found, likely, strict=True) if there)
+    return kept, weights[likely] / weights[likely].sum()
+
+
+_SHARES = (0.1, 0.2, 0.4, 0.7, 1.0, 2.0)
+"""Standard deviations of a slow part that are tried, over that of all noise."""
+_MEMORIES = 5
+"""Memories of a slow part that are tried."""
+_UNLIKELY = 1e-4
+"""Share below which another noise does not matter."""

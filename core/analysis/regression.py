@@ -6,8 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
+from scipy.optimize import brentq
 
-from core.analysis.noise import DAY_S, MEMORIES_DAYS, Gls, Noise, NoiseFit, Whitening, fit_noise
+from core.analysis.noise import (
+    DAY_S,
+    MEMORIES_DAYS,
+    Gls,
+    Noise,
+    NoiseFit,
+    Whitening,
+    fit_noise,
+    other_noises,
+)
 from core.arrays import BoolArray, FloatArray
 
 YEAR_DAYS = 365.25
@@ -19,7 +29,7 @@ _YEARLY = (1, 2)
 LEAST_SEASON_DAYS = 1.5 * YEAR_DAYS
 """A shorter record cannot tell a year's cycle from a trend. Chosen."""
 _OUTLYING = 5.0
-"""Robust standard deviations beyond which a value that disagrees with both neighbours is left out."""
+"""Robust standard deviations beyond which a value that neither side explains is left out."""
 _PASSES = 3
 """Searches for single bad values: a big one hides smaller ones."""
 _MOST_OUT = 0.05
@@ -39,14 +49,60 @@ class Interval:
 
 
 @dataclass(frozen=True, slots=True)
+class Mixture:
+    """Coefficients of a design, under each noise that the values allow."""
+
+    fits: tuple[Gls, ...]
+    shares: FloatArray
+    """(fits,) probabilities."""
+    degrees: float
+    """Of freedom of each fit's variance."""
+
+    @classmethod
+    def of(
+        cls,
+        fit: NoiseFit,
+        times_days: FloatArray,
+        design: FloatArray,
+        values_mm: FloatArray,
+        memories_days: tuple[tuple[float, float], ...] = MEMORIES_DAYS,
+    ) -> Mixture:
+        """Try other noises than the best."""
+        fits, shares = other_noises(fit, times_days, design, values_mm, memories_days)
+        return cls(fits, shares, float(max(len(values_mm) - design.shape[1], 2)))
+
+    def interval(self, combination: FloatArray, confidence: float) -> Interval:
+        """Of a linear combination (p,) of the coefficients."""
+        means = np.array([combination @ fit.coefficients for fit in self.fits])
+        variances = [combination @ fit.covariance @ combination for fit in self.fits]
+        return mixed(means, np.sqrt(variances), self.shares, self.degrees, confidence)
+
+
+def mixed(
+    means: FloatArray, sigmas: FloatArray, shares: FloatArray, degrees: float, confidence: float
+) -> Interval:
+    """Median, standard deviation and interval of a mixture of Student's t, all (k,)."""
+
+    def quantile(probability: float) -> float:
+        def beyond(value: float) -> float:
+            return float(shares @ stats.t.cdf((value - means) / sigmas, degrees)) - probability
+
+        low, high = float((means - 60 * sigmas).min()), float((means + 60 * sigmas).max())
+        return float(brentq(beyond, low, high))
+
+    average = float(shares @ means)
+    spread = float(np.sqrt(shares @ (sigmas**2 + (means - average) ** 2)))
+    tail = 0.5 - 0.5 * confidence
+    return Interval(quantile(0.5), spread, quantile(tail), quantile(1.0 - tail))
+
+
+@dataclass(frozen=True, slots=True)
 class Fit:
     """A design fitted to values."""
 
     keep: BoolArray
     """(n,) values that were used; the others are single bad ones."""
     noise_fit: NoiseFit
-    freedom: float
-    """Degrees of freedom of the coefficients' intervals."""
 
     @property
     def gls(self) -> Gls:
@@ -57,13 +113,6 @@ class Fit:
     def noise(self) -> Noise:
         """What is left."""
         return self.noise_fit.noise
-
-    def interval(self, combination: FloatArray, confidence: float) -> Interval:
-        """Of a linear combination (p,) of the coefficients."""
-        value = float(combination @ self.gls.coefficients)
-        sigma = float(np.sqrt(combination @ self.gls.covariance @ combination))
-        half = sigma * float(stats.t.ppf(0.5 + 0.5 * confidence, self.freedom))
-        return Interval(value, sigma, value - half, value + half)
 
 
 def robust_fit(
@@ -76,15 +125,13 @@ def robust_fit(
     keep = np.ones(len(values_mm), dtype=np.bool_)
     start = None
     for last in range(_PASSES):
-        fit = fit_noise(
-            times_days[keep], design[keep], values_mm[keep], memories_days, start
-        )
+        fit = fit_noise(times_days[keep], design[keep], values_mm[keep], memories_days, start)
         start = fit.start
         out = outliers(fit.whitening, fit.gls) if last < _PASSES - 1 else np.zeros(0, np.bool_)
         if not out.any():
             break
         keep[np.flatnonzero(keep)[out]] = False
-    return Fit(keep, fit, freedom(times_days[keep], design.shape[1], fit.noise))
+    return Fit(keep, fit)
 
 
 def freedom(times_days: FloatArray, parameters: int, noise: Noise) -> float:
@@ -114,7 +161,9 @@ def outliers(whitening: Whitening, fit: Gls) -> BoolArray:
     single = np.abs(fit.whitened) / max(scale, np.finfo(float).tiny)
     step = np.abs(step_scores(fit)) / np.sqrt(step_information(whitening, fit))
     neighbours = np.maximum(step, np.append(step[1:], 0.0))
-    out = (single > _OUTLYING) & (single > neighbours)
+    out: BoolArray = (single > _OUTLYING) & (single > neighbours)
+    padded = np.pad(single, 1)
+    out &= (single >= padded[:-2]) & (single >= padded[2:])  # a bad value shows in those beside it
     if out.sum() > _MOST_OUT * len(out):
         limit = np.quantile(single, 1.0 - _MOST_OUT)
         out &= single > limit
@@ -128,8 +177,10 @@ def step_scores(fit: Gls) -> FloatArray:
 
 _INFORMATION_GRID = 60
 """Places at which a step's information is computed; it is smooth in between."""
-_INFORMATION_GAPS = 60
-"""Of further places: after the longest gaps, and the last values."""
+_INFORMATION_GAPS = 100
+"""Of further places: at and beside the longest gaps, where it is another one."""
+_GAP = 1.5
+"""Usual distances between values from which a distance is a gap."""
 _TAIL = 36
 """Last values at each of which it is computed: there it changes fast."""
 
@@ -137,10 +188,14 @@ _TAIL = 36
 def step_information(whitening: Whitening, fit: Gls) -> FloatArray:
     """(n,) inverse variance of a step's size from each value on, given the other coefficients."""
     n = len(fit.residuals)
+    apart = np.diff(whitening.times_days)
+    longest = np.argsort(-apart)[:_INFORMATION_GAPS]
+    gaps = longest[apart[longest] > _GAP * np.median(apart)] + 1 if n > 1 else longest
     places = np.unique(
         np.concatenate(
             [
                 np.linspace(0, n - 1, min(n, _INFORMATION_GRID)).astype(np.int64),
+                *(np.clip(gaps + beside, 0, n - 1) for beside in (-1, 0, 1, 2, 4)),
                 np.arange(max(0, n - _TAIL), n),
                 np.arange(min(n, _TAIL)),
             ]
@@ -151,7 +206,8 @@ def step_information(whitening: Whitening, fit: Gls) -> FloatArray:
     shared = np.cumsum(fit.weighted_design[::-1], axis=0)[::-1]  # (n, p) design' K^-1 step
     taken = np.einsum("ij,jk,ik->i", shared, fit.covariance, shared)
     found = np.interp(np.arange(n), places, own)
-    return np.maximum(found - taken, 1e-9 * found)
+    information: FloatArray = np.maximum(found - taken, 1e-9 * found)
+    return information
 
 
 def try_columns(
@@ -185,7 +241,9 @@ def yearly(times_s: FloatArray) -> FloatArray:
 
 
 def hinges(times_days: FloatArray, every_days: float) -> FloatArray:
-    """(n, 1 + knots) a constant and a line that may bend at equal distances."""
+    """(n, 1 + knots) a constant and a line that may bend at equal distances; inf: no line."""
+    if np.isinf(every_days):
+        return np.ones((len(times_days), 1))
     first, last = float(times_days[0]), float(times_days[-1])
     spans = max(1, round((last - first) / every_days))
     knots = np.linspace(first, last, spans + 1)[:-1]

@@ -1,24 +1,24 @@
 """Steps in a record: when, how big, how sure; and whether it has drifted in the last months.
 
-A step at an unknown time is a likelihood ratio for each time it may have happened at, in a model with
-the temperature, the day, a slowly bending line and noise that remembers (Tsay, J. Forecasting 7, 1988;
-Chen & Liu, J. Am. Stat. Assoc. 88, 1993). The greatest is accepted if noise alone would show it less
-than once in ten years; then the noise is fitted again and the next is looked for.
+For each time at which a step may have happened its size over its standard deviation is found, in a
+model with the temperature, the day, a slowly bending line and noise that remembers (Tsay, J.
+Forecasting 7, 1988; Chen & Liu, J. Am. Stat. Assoc. 88, 1993). The greatest is accepted if noise
+alone would hardly show it in years; then the noise is fitted again and the next is looked for.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
-from core.analysis.noise import DAY_S, Noise, NoiseFit, fit_noise
+from core.analysis.noise import DAY_S, Noise, NoiseFit, fit_noise, gls
 from core.analysis.regression import (
     YEAR_DAYS,
     Interval,
+    Mixture,
     daily,
-    freedom,
     hinges,
     independent,
     outliers,
@@ -33,6 +33,8 @@ one exceeds it in 17 years; the benchmark `analysis` counts."""
 DRIFT_THRESHOLD = 3.5
 """Standard deviations of the last months' slope at which it is a drift. Tried daily, slopes of 90
 days are some 20 independent ones a year, of which one exceeds it in 100 years."""
+_DRIFT_CONFIDENCE = float(1.0 - 2.0 * stats.norm.sf(DRIFT_THRESHOLD))
+"""The interval that must not hold 0."""
 DRIFT_DAYS = 90.0
 """What a drift is looked for in."""
 BEND_DAYS = 45.0
@@ -92,7 +94,7 @@ def find_steps(
     with_days: bool = True,
     bend_days: float = BEND_DAYS,
 ) -> Steps:
-    """Find the steps of values (n,) at increasing times, with further columns (n, k) beside them."""
+    """Find the steps of values (n,) at increasing times, with columns (n, k) beside them."""
     times_days = (times_s - times_s[0]) / DAY_S
     columns = [hinges(times_days, bend_days)]
     if with_days:
@@ -106,7 +108,11 @@ def find_steps(
         best = search.best([place for place, *_ in found])
         if abs(best[1]) < threshold:
             break
-        found.append(best)
+        place, score, first, last = best
+        score /= search.spread([*(other for other, *_ in found), place])
+        if abs(score) < threshold:
+            break
+        found.append((place, score, first, last))
     found = search.confirmed(found, threshold)
     return search.judged(sorted(found), confidence, threshold)
 
@@ -152,18 +158,21 @@ class _Search:
     def _scores(self, fit: NoiseFit) -> FloatArray:
         score = step_scores(fit.gls) / np.sqrt(step_information(fit.whitening, fit.gls))
         score[:_EDGE] = score[-_EDGE + 1 :] = 0.0
-        inner = score[_EDGE : -_EDGE + 1]
-        # Where the noise is not what was fitted, the scores' own spread says so.
-        spread = _MAD_TO_SIGMA * float(np.median(np.abs(inner)))
-        return score / max(1.0, spread)
+        return score
+
+    def spread(self, places: list[int]) -> float:
+        """By what the scores beside steps exceed what the noise lets expect: 1, or more.
+
+        Where the noise is not what can be fitted, the scores' own spread says so.
+        """
+        inner = self._scores(self.fitted(places))[_EDGE : -_EDGE + 1]
+        return max(1.0, _MAD_TO_SIGMA * float(np.median(np.abs(inner))))
 
     def fitted(self, places: list[int]) -> NoiseFit:
         """Noise and coefficients with steps at places."""
         keep = self._keep
         design = np.column_stack([self._background, self.columns(places)])[keep]
-        fit = fit_noise(
-            self._times_days[keep], design, self._values_mm[keep], start=self._start
-        )
+        fit = fit_noise(self._times_days[keep], design, self._values_mm[keep], start=self._start)
         self._start = fit.start
         return fit
 
@@ -177,6 +186,7 @@ class _Search:
             count = len(found)
             sigma = np.sqrt(np.diag(fit.gls.covariance))[-count:]
             scores = np.abs(fit.gls.coefficients[-count:]) / sigma
+            scores /= self.spread([place for place, *_ in found])
             weakest = int(np.argmin(scores))
             if scores[weakest] >= threshold:
                 break
@@ -190,19 +200,27 @@ class _Search:
         places = [place for place, *_ in found]
         fit = self.fitted(places)
         parameters = len(fit.gls.coefficients)
-        degrees = freedom(self._times_days[self._keep], parameters, fit.noise)
-        half = float(stats.t.ppf(0.5 + 0.5 * confidence, degrees))
-        sigma = np.sqrt(np.diag(fit.gls.covariance))
+        keep = self._keep
+        design = np.column_stack([self._background, self.columns(places)])[keep]
+        mixture = Mixture.of(fit, self._times_days[keep], design, self._values_mm[keep])
         steps = []
         for number, (place, score, first, last) in enumerate(found):
             row = parameters - len(found) + number
-            size, size_sigma = float(fit.gls.coefficients[row]), float(sigma[row])
-            mm = Interval(size, size_sigma, size - half * size_sigma, size + half * size_sigma)
+            mm = mixture.interval(np.eye(parameters)[row], confidence)
             before_s = float(self._times_s[max(first - 1, 0)])
             steps.append(
                 Step(before_s, float(self._times_s[place]), float(self._times_s[last]), mm, score)
             )
-        step_sigma = 1.0 / np.sqrt(step_information(fit.whitening, fit.gls))
+        without = gls(
+            fit.whitening, self._background[self._keep], self._values_mm[self._keep]
+        )  # where a step is already, another would not be seen
+        without = replace(
+            without,
+            covariance=without.covariance * fit.gls.variance_mm2 / without.variance_mm2,
+            weighted_design=without.weighted_design * without.variance_mm2 / fit.gls.variance_mm2,
+            variance_mm2=fit.gls.variance_mm2,
+        )
+        step_sigma = 1.0 / np.sqrt(step_information(fit.whitening, without))
         needed = threshold + float(stats.norm.ppf(0.9))
         kept_s = self._times_s[self._keep]
         day = int(np.searchsorted(kept_s, kept_s[-1] - DAY_S))
@@ -262,10 +280,9 @@ def recent_drift(
     fit = fit_noise(times_days, from_first, values_mm)
     combination = np.zeros(from_first.shape[1])
     combination[1 : 1 + len(knots)] = 1.0  # the last slope is the sum of all bends
-    value = float(combination @ fit.gls.coefficients)
-    sigma = float(np.sqrt(combination @ fit.gls.covariance @ combination))
-    degrees = freedom(times_days, from_first.shape[1], fit.noise)
-    half = float(stats.t.ppf(0.5 + 0.5 * confidence, degrees))
-    found = Interval(value, sigma, value - half * sigma, value + half * sigma)
-    normal = stats.norm.isf(stats.t.sf(abs(value) / sigma, degrees)) * np.sign(value)
-    return Drift(found, float(normal), min(days, -float(times_days[0])))
+    mixture = Mixture.of(fit, times_days, from_first, values_mm)
+    found = mixture.interval(combination, confidence)
+    narrow = mixture.interval(combination, _DRIFT_CONFIDENCE)
+    edge = narrow.low if found.value > 0.0 else narrow.high
+    normal = DRIFT_THRESHOLD * found.value / max(abs(found.value - edge), np.finfo(float).tiny)
+    return Drift(found, normal, min(days, -float(times_days[0])))

@@ -1,8 +1,8 @@
 """How the displacement follows temperatures: so many mm per kelvin, so many hours later or before.
 
 Of each reading either a pure shift, d(t) = c T(t - lag), which may be negative (the sun reaches the
-deck before it warms the sensor), or a first-order lag, lag dF/dt = T - F, d = c F (steel and concrete
-behind an air temperature); the one that explains more is taken.
+deck before it warms the sensor), or a first-order lag, lag dF/dt = T - F, d = c F (steel and
+concrete behind an air temperature); the one that explains more is taken.
 """
 
 from __future__ import annotations
@@ -11,16 +11,15 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
-from scipy import stats
 from scipy.signal import lfilter
 
 from core.analysis.binning import FINE_S, HOUR_S, Hours
 from core.analysis.noise import DAY_S, NoiseFit, gls
-from core.analysis.regression import Fit, Interval, hinges, robust_fit, try_columns
+from core.analysis.regression import Fit, Interval, Mixture, hinges, robust_fit, try_columns
 from core.arrays import BoolArray, FloatArray
 
 BEND_DAYS = 60.0
-"""The line under the temperature may bend at this distance, so that creep is not taken for warmth."""
+"""The line under the temperature may bend at this distance: creep is not taken for warmth."""
 _SHIFTS_H = np.arange(-8.0, 12.5, 0.5)
 """Shifts that are tried."""
 _LAGS_H = np.geomspace(0.25, 96.0, 24)
@@ -229,7 +228,9 @@ def _judged(
     times_days, values_mm = times_s / DAY_S, hours.mean_mm[known]
     line = hinges(times_days, BEND_DAYS)
     count = len(usable)
-    fit = robust_fit(times_days, np.column_stack([line, _columns(readings, times_s, lags)]), values_mm)
+    fit = robust_fit(
+        times_days, np.column_stack([line, _columns(readings, times_s, lags)]), values_mm
+    )
     sizes = fit.gls.coefficients[-count:]
     for _ in range(2):
         columns = _columns(readings, times_s, lags)
@@ -243,29 +244,30 @@ def _judged(
             for (kind, lag_h), step in zip(lags, steps, strict=True)
         ]
     fit = replace(fit, noise_fit=replace(fit.noise_fit, gls=better))
-    half = float(stats.t.ppf(0.5 + 0.5 * confidence, fit.freedom))
-    sigma = np.sqrt(np.diag(fit.gls.covariance))
-    p = len(fit.gls.coefficients)
+    design = np.column_stack(
+        [line, _columns(readings, times_s, lags), _by_lag(readings, times_s, lags) * sizes]
+    )
+    keep, p = fit.keep, design.shape[1]
+    mixture = Mixture.of(fit.noise_fit, times_days[keep], design[keep], values_mm[keep])
     responses = []
     for number, (channel, (kind, lag_h)) in enumerate(zip(usable, lags, strict=True)):
-        lag_sigma = float(sigma[p - count + number])
-        unit = np.zeros(p)
-        unit[p - 2 * count + number] = 1.0
-        lag = Interval(lag_h, lag_sigma, lag_h - half * lag_sigma, lag_h + half * lag_sigma)
-        responses.append(Response(channel, kind, lag, fit.interval(unit, confidence)))
+        unit = np.eye(p)[[p - count + number, p - 2 * count + number]]
+        left = mixture.interval(unit[0], confidence)  # of the last step
+        lag = Interval(lag_h + left.value, left.sigma, lag_h + left.low, lag_h + left.high)
+        responses.append(Response(channel, kind, lag, mixture.interval(unit[1], confidence)))
     everywhere = _columns(readings, hours.times_s, lags)
     everywhere[~known] = np.nan
     sizes = np.array([response.mm_per_unit.value for response in responses])
     about = values_mm - line @ np.linalg.lstsq(line, values_mm, rcond=None)[0]
-    left = values_mm - _columns(readings, times_s, lags) @ sizes
-    left = (left - line @ np.linalg.lstsq(line, left, rcond=None)[0])[fit.keep]
+    rest = values_mm - _columns(readings, times_s, lags) @ sizes
+    rest = (rest - line @ np.linalg.lstsq(line, rest, rcond=None)[0])[fit.keep]
     return Thermal(
         tuple(responses),
         known,
         everywhere,
         _by_lag(readings, hours.times_s, lags),
-        float(1.0 - np.var(left) / max(np.var(about[fit.keep]), np.finfo(float).tiny)),
-        float(np.std(left)),
+        float(1.0 - np.var(rest) / max(np.var(about[fit.keep]), np.finfo(float).tiny)),
+        float(np.std(rest)),
     )
 
 
@@ -278,7 +280,12 @@ def _by_lag(
 ) -> FloatArray:
     """(n, readings) derivative by the lag, per hour."""
     later = [(kind, lag_h + _STEP_H) for kind, lag_h in lags]
-    sooner = [(kind, max(lag_h - _STEP_H, 0.01) if kind is Lag.FIRST_ORDER else lag_h - _STEP_H)
-              for kind, lag_h in lags]
+    sooner = [
+        (kind, max(lag_h - _STEP_H, 0.01) if kind is Lag.FIRST_ORDER else lag_h - _STEP_H)
+        for kind, lag_h in lags
+    ]
     span = np.array([b[1] - a[1] for a, b in zip(sooner, later, strict=True)])
-    return (_columns(readings, times_s, later) - _columns(readings, times_s, sooner)) / span
+    found: FloatArray = (
+        _columns(readings, times_s, later) - _columns(readings, times_s, sooner)
+    ) / span
+    return found

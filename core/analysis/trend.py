@@ -11,6 +11,7 @@ from core.analysis.regression import (
     YEAR_DAYS,
     Fit,
     Interval,
+    Mixture,
     daily,
     independent,
     robust_fit,
@@ -66,9 +67,13 @@ def trend_of(
     fit = robust_fit(times_days, design, values_mm, MEMORIES_DAYS)
     unit = np.zeros(design.shape[1])
     unit[1] = 1.0
+    keep = fit.keep
+    mixture = Mixture.of(
+        fit.noise_fit, times_days[keep], design[keep], values_mm[keep], MEMORIES_DAYS
+    )
     line_mm = line @ fit.gls.coefficients[:2]
     return Trend(
-        fit.interval(unit, confidence),
+        mixture.interval(unit, confidence),
         fit.noise,
         int((~fit.keep).sum()),
         further[0].shape[1] > 0,
@@ -116,8 +121,10 @@ def difference(
     fit: Fit = robust_fit(times_days, design, values_mm)
     unit = np.zeros(design.shape[1])
     unit[1] = 1.0
+    keep = fit.keep
+    mixture = Mixture.of(fit.noise_fit, times_days[keep], design[keep], values_mm[keep])
     return Difference(
-        fit.interval(unit, confidence),
+        mixture.interval(unit, confidence),
         float(np.mean(values_mm[after]) - np.mean(values_mm[~after])),
         int((~after).sum()),
         int(after.sum()),

@@ -1,0 +1,203 @@
+"""Whether the analysis keeps its stated rates, on many simulated bridges; and what a year costs.
+
+    python -m benchmarks.analysis coverage creep steps false-alarms time
+
+Hours of processor time for all; each study says its own figures as it ends.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from datetime import UTC
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.bridges import (
+    BEGIN_S,
+    CREEP_LAWS,
+    DAY_S,
+    Bridge,
+    Made,
+    make,
+    make_creep,
+    write_record,
+)
+from core.analysis.binning import Hours, hours_of
+from core.analysis.creep import fit_creep
+from core.analysis.steps import find_steps, recent_drift
+from core.analysis.thermal import temperature_response
+from core.analysis.trend import difference, trend_of
+from core.arrays import FloatArray
+from daemon.analysis.reading import analyse_store
+from daemon.analysis.study import Asked
+from daemon.store.database import open_store_readonly
+
+BRIDGE = Bridge()
+DAILY_MM = "3 mm"
+"""Of the simulated bridges' daily cycle: 0.25 mm/K, some 12 K in the sun."""
+
+
+def prepared(made: Made) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times, hourly means and what the temperature's response needs, as the command does it."""
+    hours: Hours = hours_of(made.times_s, made.y_mm, made.deck_c[:, None])
+    thermal = temperature_response(hours, (0,))
+    if thermal is None:
+        msg = "a simulated bridge has its readings"
+        raise RuntimeError(msg)
+    known = thermal.known
+    warm = np.column_stack([thermal.columns, thermal.by_lag])[known]
+    return hours.times_s[known], hours.mean_mm[known], warm
+
+
+def study_coverage(count: int) -> Iterator[str]:
+    """Lag, size, trend, difference: how often a 95 % interval holds the truth."""
+    held = dict.fromkeys(("lag", "mm per kelvin", "trend", "before and after"), 0)
+    for seed in range(count):
+        rng = np.random.default_rng(1000 + seed)
+        first_order = bool(seed % 2)
+        bridge = replace(
+            BRIDGE,
+            days=120.0,
+            lag_h=float(rng.uniform(1.0, 8.0) if first_order else rng.uniform(-2.0, 4.0)),
+            first_order=first_order,
+            trend_mm_per_year=float(rng.normal()),
+            step_day=60.0,
+            step_mm=float(rng.normal()),
+        )
+        made = make(bridge, 2000 + seed)
+        hours = hours_of(made.times_s, made.y_mm, made.deck_c[:, None])
+        thermal = temperature_response(hours, (0,))
+        if thermal is None:
+            continue
+        (response,) = thermal.responses
+        known = thermal.known
+        times_s, values_mm = hours.times_s[known], hours.mean_mm[known]
+        warm = np.column_stack([thermal.columns, thermal.by_lag])[known]
+        event_s = BEGIN_S + 60.0 * DAY_S
+        step = (times_s >= event_s).astype(np.float64)[:, None]
+        trend = trend_of(times_s, values_mm, np.column_stack([warm, step])).mm_per_year
+        near = np.abs(times_s - event_s) < 30.0 * DAY_S
+        moved = difference(times_s[near], values_mm[near], event_s, warm[near]).mm
+        drifted_mm = bridge.trend_mm_per_year * 30.0 / 365.25  # half a month on either side
+        for name, interval, truth in (
+            ("lag", response.lag_h, bridge.lag_h),
+            ("mm per kelvin", response.mm_per_unit, bridge.mm_per_kelvin),
+            ("trend", trend, bridge.trend_mm_per_year),
+            ("before and after", moved, bridge.step_mm + drifted_mm),
+        ):
+            held[name] += interval.low <= truth <= interval.high
+    for name, number in held.items():
+        yield f"{name}: the 95 % interval holds {number} of {count}"
+
+
+def study_creep(count: int) -> Iterator[str]:
+    """Day 365 from 90 days: how often the 90 % interval holds the truth."""
+    every = 0
+    for law in (*CREEP_LAWS, "mc2010"):
+        number = count // len(CREEP_LAWS)
+        held, widths = 0, []
+        for seed in range(number):
+            times_s, values_mm, truth = make_creep(law, seed)
+            (found,) = fit_creep(times_s, values_mm, BEGIN_S, [365.0]).predictions
+            held += found.mm.low <= truth <= found.mm.high
+            widths.append(found.mm.high - found.mm.low)
+        every += held if law != "mc2010" else 0
+        yield f"{law}: {held} of {number}, median width {np.median(widths):.2f} mm"
+    yield f"all laws that are fitted: {every} of {count // len(CREEP_LAWS) * len(CREEP_LAWS)}"
+
+
+def study_steps(count: int) -> Iterator[str]:
+    """0.1 mm within 24 hours; 0.5 mm a year within 90 days; no drift where there is none."""
+    found, sizes, drifts, wrong, held = 0, [], 0, 0, 0
+    for seed in range(count):
+        days = 60.0
+        bridge = replace(BRIDGE, days=days, step_day=days - 1.0, step_mm=0.1)
+        made = make(bridge, 3000 + seed)
+        at_s = BEGIN_S + (days - 1.0) * DAY_S
+        steps = [s for s in find_steps(*prepared(made)).steps if abs(s.time_s - at_s) < 0.5 * DAY_S]
+        found += bool(steps)
+        sizes += [step.mm.value for step in steps[:1]]
+        held += any(step.mm.low <= 0.1 <= step.mm.high for step in steps)
+        drifting = replace(BRIDGE, days=180.0, drift_day=90.0, drift_mm_per_year=0.5)
+        drifts += recent_drift(*prepared(make(drifting, 4000 + seed))).significant
+        quiet = replace(BRIDGE, days=180.0)
+        wrong += recent_drift(*prepared(make(quiet, 5000 + seed))).significant
+    yield f"0.1 mm within 24 hours: {found} of {count}, mean size {np.mean(sizes):.3f} mm"
+    yield f"its 95 % interval holds 0.1 mm {held} times"
+    yield f"0.5 mm a year, 90 days after it began: {drifts} of {count}; without: {wrong}"
+
+
+def study_false_alarms(count: int) -> Iterator[str]:
+    """Quiet years, analysed as a whole; and the last 60 days of them, every week."""
+    whole, highest = 0, []
+    for seed in range(count):
+        prepared_year = prepared(make(BRIDGE, 6000 + seed))
+        found = find_steps(*prepared_year)
+        whole += len(found.steps)
+        highest.append(found.highest_score)
+        yield f"year {seed + 1}: {len(found.steps)} steps, highest score {found.highest_score:.2f}"
+    yield f"quiet years: {whole} false steps in {count}, highest score {max(highest):.2f}"
+
+
+def study_weekly(count: int) -> Iterator[str]:
+    """The last 60 days of quiet years, analysed every week as a service would."""
+    alarms = 0
+    for seed in range(count):
+        made = make(BRIDGE, 7000 + seed)
+        seen: list[float] = []
+        for week in range(9, 53):
+            end_s = BEGIN_S + 7.0 * week * DAY_S
+            near = (made.times_s < end_s) & (made.times_s >= end_s - 60.0 * DAY_S)
+            part = Made(made.times_s[near], made.y_mm[near], made.deck_c[near])
+            for step in find_steps(*prepared(part)).steps:
+                if all(abs(step.time_s - other) > DAY_S for other in seen):
+                    seen.append(step.time_s)
+        alarms += len(seen)
+        yield f"year {seed + 1}: {len(seen)} false steps in 44 weekly analyses"
+    yield f"weekly analyses: {alarms} false steps in {count} years"
+
+
+def study_time(count: int) -> Iterator[str]:
+    """What reading and analysing a year of minutes takes."""
+    for _ in range(count):
+        made = make(replace(BRIDGE, lost=0.0, outages=0.0, step_day=200.0, step_mm=0.2), 1)
+        with tempfile.TemporaryDirectory(prefix="dcam-bench-") as directory:
+            write_record(Path(directory), made)
+            with open_store_readonly(Path(directory)) as store:
+                begin = time.process_time()
+                analyse_store(store, None, None, Asked(zone=UTC), 60.0)
+                yield f"{len(made.times_s)} rows: {time.process_time() - begin:.1f} s of CPU time"
+
+
+STUDIES: dict[str, tuple[Callable[[int], Iterator[str]], int]] = {
+    "coverage": (study_coverage, 100),
+    "creep": (study_creep, 200),
+    "steps": (study_steps, 50),
+    "false-alarms": (study_false_alarms, 30),
+    "weekly": (study_weekly, 4),
+    "time": (study_time, 1),
+}
+"""By name, with how many bridges."""
+
+
+def main() -> None:
+    """Run the studies named and print their figures."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.analysis", description=__doc__)
+    parser.add_argument("studies", nargs="*", choices=[*STUDIES, []], default=list(STUDIES))
+    parser.add_argument("--count", type=int, help="bridges, in place of the study's own number")
+    options = parser.parse_args()
+    for name in options.studies:
+        run, count = STUDIES[name]
+        for line in run(options.count or count):
+            print(f"{name}: {line}")
+            sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

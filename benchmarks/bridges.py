@@ -1,0 +1,205 @@
+"""Records of known make: bridges with temperature, lag, trend, steps, creep, gaps and noise."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from core.arrays import FloatArray
+from core.results import Displacement, Flag, Measurement
+from daemon.store.checksum_columns import row_digests
+from daemon.store.database import open_store
+from daemon.store.records import MeasurementRecord, Reading
+from daemon.times import EPOCH, instant_text, slot_text
+
+BEGIN_S = 1.7723232e9
+"""2026-03-01T00:00:00Z."""
+DAY_S = 86400.0
+_MINUTES = 1440
+_BEFORE_DAYS = 2
+"""Days of temperature before the record, so that a lag has a past."""
+
+
+def remembering(rng: np.random.Generator, n: int, sigma: float, memory: float) -> FloatArray:
+    """(n,) Ornstein-Uhlenbeck noise with its memory in steps."""
+    left = np.exp(-1.0 / memory)
+    noise = rng.normal(size=n) * sigma * np.sqrt(1.0 - left * left)
+    noise[0] = rng.normal() * sigma
+    found: FloatArray = lfilter([1.0], [1.0, -left], noise)
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Bridge:
+    """What a bridge does, and how well it is measured; mm, days, hours."""
+
+    days: float = 365.0
+    mm_per_kelvin: float = 0.25
+    lag_h: float = 2.0
+    first_order: bool = False
+    trend_mm_per_year: float = 0.0
+    step_day: float | None = None
+    step_mm: float = 0.0
+    drift_day: float | None = None
+    drift_mm_per_year: float = 0.0
+    white_mm: float = 0.04
+    """Of a row."""
+    fast_mm: float = 0.02
+    fast_minutes: float = 90.0
+    slow_mm: float = 0.01
+    slow_days: float = 5.0
+    lost: float = 0.02
+    """Share of single rows without a value."""
+    outages: float = 0.1
+    """Failures of the lamp a day, of 8 hours on average."""
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """Good rows of a bridge."""
+
+    times_s: FloatArray
+    y_mm: FloatArray
+    deck_c: FloatArray
+    """What the sensor says: 0.1 K of noise."""
+
+
+def make(bridge: Bridge, seed: int) -> Made:
+    """Rows of a bridge, one a minute where there is one."""
+    rng = np.random.default_rng(seed)
+    n = int(bridge.days * _MINUTES)
+    deck, behind = _temperatures(bridge, rng, n)
+    days = np.arange(n) / _MINUTES
+    y_mm = bridge.mm_per_kelvin * behind + bridge.white_mm * rng.normal(size=n)
+    y_mm += remembering(rng, n, bridge.fast_mm, bridge.fast_minutes)
+    y_mm += remembering(rng, n, bridge.slow_mm, bridge.slow_days * _MINUTES)
+    y_mm += bridge.trend_mm_per_year * days / 365.25
+    if bridge.step_day is not None:
+        y_mm += bridge.step_mm * (days >= bridge.step_day)
+    if bridge.drift_day is not None:
+        y_mm += bridge.drift_mm_per_year * np.maximum(days - bridge.drift_day, 0.0) / 365.25
+    spikes = rng.random(n) < 2e-4  # a bird on the target that nobody noticed
+    y_mm[spikes] += 3.0 * rng.normal(size=int(spikes.sum()))
+    keep = rng.random(n) >= bridge.lost
+    for _ in range(rng.poisson(bridge.outages * bridge.days)):
+        begin = int(rng.integers(n))
+        keep[begin : begin + int(rng.exponential(8 * 60))] = False
+    said = deck + 0.1 * rng.normal(size=n)
+    return Made((BEGIN_S + 60.0 * np.arange(n))[keep], y_mm[keep], said[keep])
+
+
+def _temperatures(
+    bridge: Bridge, rng: np.random.Generator, n: int
+) -> tuple[FloatArray, FloatArray]:
+    """Deck temperature of season, weather and sun, and the same behind the lag."""
+    before = _BEFORE_DAYS * _MINUTES
+    hours = np.arange(-before, n) / 60.0
+    days = BEGIN_S / DAY_S + hours / 24.0
+    weather = remembering(rng, n + before, 4.0, 3.0 * _MINUTES)
+    sun = np.clip(0.5 + remembering(rng, n + before, 0.35, 2.0 * _MINUTES), 0.05, 1.2)
+    season = 10.0 + 12.0 * np.sin(2.0 * np.pi * (days / 365.25 - 0.3))
+    deck = season + weather + 6.0 * sun * np.sin(2.0 * np.pi * (days - 0.35))
+    deck += remembering(rng, n + before, 0.5, 60.0)
+    if bridge.first_order:
+        left = np.exp(-1.0 / 60.0 / bridge.lag_h)
+        behind = lfilter([1.0 - left], [1.0, -left], deck - deck[0]) + deck[0]
+    else:
+        behind = np.interp(hours - bridge.lag_h, hours, deck)
+    return deck[before:], behind[before:]
+
+
+CREEP_LAWS = ("logarithmic", "power", "double-exponential", "eurocode2", "aci209")
+
+
+def make_creep(law: str, seed: int, days: int = 90) -> tuple[FloatArray, FloatArray, float]:
+    """Times (n,) and hourly values (n,) since loading at BEGIN_S, and the true level on day 365.
+
+    Shapes are drawn evenly within the laws' usual bounds, 3 to 15 mm of creep, noise of days.
+    """
+    rng = np.random.default_rng(seed)
+    hours = np.arange(366 * 24) / 24.0
+    course = _course(law, rng, hours)
+    course *= rng.uniform(3.0, 15.0) * rng.choice([-1.0, 1.0]) / course[days * 24]
+    course += 5.0 * rng.normal()
+    n = days * 24
+    values = course[:n] + 0.02 * rng.normal(size=n) + remembering(rng, n, 0.03, 2.0)
+    values += remembering(rng, n, rng.uniform(0.02, 0.1), 24.0 * rng.uniform(1.0, 5.0))
+    keep = rng.random(n) > 0.1
+    return BEGIN_S + hours[:n][keep] * DAY_S, values[keep], float(course[365 * 24])
+
+
+def _course(law: str, rng: np.random.Generator, days: FloatArray) -> FloatArray:
+    def by_ratio(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+    found: FloatArray
+    match law:
+        case "logarithmic":
+            found = np.log1p(days / by_ratio(0.1, 60.0))
+        case "power":
+            found = days ** rng.uniform(0.05, 0.9)
+        case "eurocode2":
+            found = (days / (rng.uniform(250.0, 1500.0) + days)) ** 0.3
+        case "aci209":
+            grown = days ** rng.uniform(0.4, 0.8)
+            found = grown / (rng.uniform(6.0, 30.0) + grown)
+        case "mc2010":  # none of the laws that are fitted: basic and drying creep together
+            basic = rng.uniform(0.1, 0.4) * np.log1p((30.0 / 28.0 + 0.035) ** 2 * days)
+            drying = (days / (rng.uniform(300.0, 1500.0) + days)) ** (1.0 / (2.3 + 3.5 / 28.0**0.5))
+            found = basic + drying
+        case _:
+            share = rng.uniform(0.1, 0.9)
+            fast, slow = by_ratio(1.0, 30.0), by_ratio(40.0, 1500.0)
+            found = -share * np.expm1(-days / fast) - (1.0 - share) * np.expm1(-days / slow)
+    return found
+
+
+def _first(slot: datetime, made: Made) -> MeasurementRecord:
+    displacement = Displacement(np.array([0.5, made.y_mm[0]]), np.diag([0.01, 0.04]))
+    measurement = Measurement(Flag.GOOD, (), displacement, displacement, None)
+    return MeasurementRecord(
+        slot,
+        measurement,
+        *("0123456789ab", "0.1.0"),
+        captured_utc=slot,
+        readings=(Reading("deck", "degC", float(made.deck_c[0])),),
+    )
+
+
+def write_record(state: Path, made: Made) -> None:
+    """Write the rows into a new state, each as the daemon would, with a reading `deck`."""
+    with open_store(state) as store:
+        when = [EPOCH + timedelta(seconds=int(time_s)) for time_s in made.times_s]
+        store.add_measurement(_first(when[0], made))
+        with closing(sqlite3.connect(store.path)) as connection, connection:
+            cursor = connection.execute("SELECT * FROM measurement")
+            names = [column[0] for column in cursor.description]
+            first = dict(zip(names, cursor.fetchone(), strict=True))
+            insert = ", ".join(names), ", ".join("?" * len(names))
+            for begin in range(1, len(when), 5000):
+                places = range(begin, min(begin + 5000, len(when)))
+                columns: dict[str, Sequence[Any]] = {
+                    name: [value] * len(places) for name, value in first.items()
+                }
+                columns["id"] = [place + 1 for place in places]
+                columns["slot_utc"] = [slot_text(when[place]) for place in places]
+                columns["captured_utc"] = [instant_text(when[place]) for place in places]
+                columns["y_mm"] = made.y_mm[places].tolist()
+                columns["readings"] = [
+                    json.dumps({"deck": [made.deck_c[place], "degC"]}, separators=(",", ":"))
+                    for place in places
+                ]
+                columns["digest"] = row_digests("measurement", columns)
+                connection.executemany(
+                    f"INSERT INTO measurement ({insert[0]}) VALUES ({insert[1]})",
+                    zip(*(columns[name] for name in names), strict=True),
+                )

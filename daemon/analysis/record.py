@@ -1,0 +1,122 @@
+"""One point of a record as the analysis reads it: good rows, with the readings beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from core.arrays import FloatArray
+from core.results import Flag
+from core.site import TargetRole
+from daemon.errors import UsageError, WorkFailedError
+from daemon.store.columns import Columns, Tell, read_columns, target_roles
+from daemon.store.sensors import Sensor, sensor_columns, sensors_within
+from daemon.store.targets import values_of_targets
+from daemon.times import utc_array
+
+MAIN = "main"
+"""The main target among the points."""
+CAMERAS = {"main-camera": "main_temperature_c", "sub-camera": "sub_temperature_c"}
+"""What the cameras say of their own temperatures, and its columns."""
+CELSIUS = "degC"
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """A reading beside the displacement."""
+
+    name: str
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """The rows of a point; a value only where a row is good."""
+
+    point: str
+    times_s: FloatArray
+    """(rows,) seconds since 1970, UTC."""
+    values_mm: FloatArray
+    """(rows, 2) x, y; NaN where the row is not good."""
+    readings: FloatArray
+    """(rows, channels); NaN where there is none."""
+    channels: tuple[Channel, ...]
+
+
+def read_record(
+    path: Path,
+    since: datetime,
+    until: datetime,
+    *,
+    point: str = MAIN,
+    readings: Sequence[str] = (),
+    tell: Tell = lambda _done, _total: None,
+) -> Record:
+    """Read a point's rows and the readings named; without a name, those in degC.
+
+    Raises UsageError for a name that is none, WorkFailedError without any row, StoreError.
+    """
+    _require_point(path, since, until, point)
+    chosen = _channels(path, since, until, readings)
+    sensors = [sensor for sensor in chosen if isinstance(sensor, Sensor)]
+    times, values, said = [], [], []
+    for rows in read_columns(path, since, until, tell):
+        times.append(utc_array(rows.values["slot_utc"]).astype("datetime64[s]").astype(np.float64))
+        values.append(_values(rows, point))
+        by_sensor = sensor_columns(rows.values["readings"], sensors) if sensors else {}
+        columns = [
+            by_sensor[one.column] if isinstance(one, Sensor) else rows.values[CAMERAS[one]]
+            for one in chosen
+        ]
+        said.append(np.array(columns, dtype=np.float64).T.reshape(len(rows), len(chosen)))
+    if not times:
+        msg = f"{path}: no row in this span"
+        raise WorkFailedError(msg)
+    channels = tuple(
+        Channel(one.name, one.unit) if isinstance(one, Sensor) else Channel(one, CELSIUS)
+        for one in chosen
+    )
+    return Record(point, np.concatenate(times), np.vstack(values), np.vstack(said), channels)
+
+
+def _values(rows: Columns, point: str) -> FloatArray:
+    """(rows, 2) x, y of good rows."""
+    if point == MAIN:
+        flags, values = np.array(rows.values["flag"]), rows.numbers("x_mm", "y_mm")
+    else:
+        keys = ("flag", "x_mm", "y_mm")
+        found = values_of_targets(rows.values["targets"], [point], keys)
+        columns = np.array(list(found.values()), dtype=np.float64)
+        flags, values = columns[0], columns[1:].T
+    return np.where((flags == Flag.GOOD)[:, None], values, np.nan)
+
+
+def _require_point(path: Path, since: datetime, until: datetime, point: str) -> None:
+    if point == MAIN:
+        return
+    roles = target_roles(path, since, until)
+    measured = [name for name, role in roles.items() if role == TargetRole.MEASURED]
+    if point not in measured:
+        names = ", ".join([MAIN, *measured])
+        msg = f"--point {point}: no measured point of this name in the span; there are: {names}"
+        raise UsageError(msg)
+
+
+def _channels(
+    path: Path, since: datetime, until: datetime, names: Sequence[str]
+) -> list[Sensor | str]:
+    """The sensors and cameras that are named, else all in degC, else the main camera."""
+    sensors = sensors_within(path, since, until)
+    known: dict[str, Sensor | str] = {name: name for name in CAMERAS}
+    known |= {sensor.name: sensor for sensor in sensors}  # of two units the newer stays
+    if unknown := [name for name in names if name not in known]:
+        msg = f"--reading {unknown[0]}: no reading of this name in the span; there are: "
+        raise UsageError(msg + ", ".join(known))
+    if names:
+        return [known[name] for name in names]
+    warm: list[Sensor | str] = [sensor for sensor in sensors if sensor.unit == CELSIUS]
+    return warm or ["main-camera"]

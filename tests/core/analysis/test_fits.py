@@ -1,0 +1,250 @@
+"""What was put into a series comes back, within the interval that is stated, at the stated rate."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from benchmarks.bridges import BEGIN_S, CREEP_LAWS, DAY_S, Bridge, make, make_creep, remembering
+from core.analysis.binning import bins_of, hours_of
+from core.analysis.creep import fit_creep
+from core.analysis.noise import Whitening, fit_noise
+from core.analysis.regression import daily, yearly
+from core.analysis.steps import find_steps, recent_drift
+from core.analysis.thermal import Lag, temperature_response
+from core.analysis.trend import difference, trend_of
+
+SERIES = 20
+"""Of which a 95 % interval misses more than three once in 60 runs of other numbers."""
+
+
+def hours_with_gaps(rng: np.random.Generator, days: float) -> np.ndarray:
+    """Times of hours of which a tenth is missing, one week among them."""
+    times_s = BEGIN_S + 3600.0 * np.arange(int(days * 24))
+    keep = rng.random(len(times_s)) > 0.05
+    keep[len(keep) // 3 : len(keep) // 3 + 168] = False
+    return times_s[keep]
+
+
+def noise_at(rng: np.random.Generator, times_s: np.ndarray) -> np.ndarray:
+    """Hourly noise that remembers hours and days."""
+    n = int((times_s[-1] - times_s[0]) / 3600.0) + 1
+    whole = remembering(rng, n, 0.03, 3.0) + remembering(rng, n, 0.02, 120.0)
+    whole += 0.01 * rng.normal(size=n)
+    return whole[((times_s - times_s[0]) / 3600.0).astype(int)]
+
+
+def test_days_have_the_lowest_mean_and_highest_of_their_own_rows() -> None:
+    found = bins_of(
+        np.array([0.0, 1.0, 2.0, 3.0, 9.0]),
+        np.array([1.0, 5.0, np.nan, -2.0, 7.0]),
+        np.array([0.0, 2.0, 4.0, 6.0]),
+    )
+    assert found.lowest.tolist()[:2] == [1.0, -2.0]
+    assert found.mean.tolist()[:2] == [3.0, -2.0]
+    assert found.highest.tolist()[:2] == [5.0, -2.0]
+    assert found.count.tolist() == [2, 1, 0]
+    assert np.isnan(found.mean[2])
+
+
+def test_one_wild_row_does_not_move_its_hour_and_a_short_hour_is_none() -> None:
+    times_s = np.arange(0.0, 3 * 3600.0, 60.0)
+    values_mm = 0.1 * np.sin(times_s)
+    values_mm[70] = 50.0
+    keep = (times_s < 2 * 3600.0) | (times_s > 3 * 3600.0 - 600.0)
+    hours = hours_of(times_s[keep], values_mm[keep], np.empty((int(keep.sum()), 0)))
+    assert hours.count.tolist() == [60, 59]
+    assert np.abs(hours.mean_mm).max() < 0.02
+
+
+def test_the_fast_inverse_is_that_of_the_covariance() -> None:
+    rng = np.random.default_rng(1)
+    days = np.sort(rng.uniform(0.0, 30.0, 60))
+    gains, memories = np.array([1.5, 0.7]), np.array([0.2, 10.0])
+    apart = np.abs(days[:, None] - days)
+    K = np.eye(60) + sum(g**2 * np.exp(-apart / m) for g, m in zip(gains, memories, strict=True))
+    whitening = Whitening(days, gains, memories)
+    assert whitening.solve(np.eye(60)) == pytest.approx(np.linalg.inv(K), abs=1e-9)
+    assert whitening.log_determinant == pytest.approx(np.linalg.slogdet(K)[1])
+
+
+def test_noise_of_hours_and_days_is_recognised() -> None:
+    rng = np.random.default_rng(2)
+    times_s = hours_with_gaps(rng, 250.0)
+    fit = fit_noise(times_s / DAY_S, np.ones((len(times_s), 1)), noise_at(rng, times_s))
+    fast, slow = fit.noise.parts
+    assert fast.sigma_mm == pytest.approx(0.03, rel=0.2)
+    assert fast.memory_days == pytest.approx(3.0 / 24.0, rel=0.4)
+    assert slow.sigma_mm == pytest.approx(0.02, rel=0.4)
+    assert 2.0 < slow.memory_days < 15.0
+
+
+@pytest.mark.parametrize(
+    ("lag_h", "first_order"), [(-1.5, False), (3.25, False), (2.0, True), (6.0, True)]
+)
+def test_a_temperature_comes_back_with_its_lag(lag_h: float, *, first_order: bool) -> None:
+    """The sun's lead too: a displacement that is there before the sensor is warm."""
+    bridge = Bridge(days=45.0, lag_h=lag_h, first_order=first_order)
+    made = make(bridge, seed=7)
+    hours = hours_of(made.times_s, made.y_mm, made.deck_c[:, None])
+    found = temperature_response(hours, (0,))
+    assert found is not None
+    (response,) = found.responses
+    assert response.kind is (Lag.FIRST_ORDER if first_order else Lag.SHIFT)
+    assert response.lag_h.value == pytest.approx(lag_h, abs=4.0 * response.lag_h.sigma + 0.02)
+    assert response.lag_h.sigma < 0.2
+    size = response.mm_per_unit
+    assert size.value == pytest.approx(0.25, abs=4.0 * size.sigma)
+    assert size.sigma < 0.005
+    assert found.explained > 0.98
+
+
+def test_two_readings_are_told_apart() -> None:
+    made, other = make(Bridge(days=45.0), seed=8), make(Bridge(days=45.0, outages=0.0, lost=0.0), 9)
+    bearing_c = np.interp(made.times_s, other.times_s, other.deck_c)
+    y_mm = made.y_mm - 0.1 * np.interp(made.times_s - 3600.0, made.times_s, bearing_c)
+    readings = np.column_stack([made.deck_c, bearing_c])
+    found = temperature_response(hours_of(made.times_s, y_mm, readings), (0, 1))
+    assert found is not None
+    deck, bearing = found.responses
+    assert deck.mm_per_unit.value == pytest.approx(0.25, abs=0.005)
+    assert bearing.mm_per_unit.value == pytest.approx(-0.1, abs=0.005)
+    assert (deck.lag_h.value, bearing.lag_h.value) == pytest.approx((2.0, 1.0), abs=0.1)
+
+
+def test_a_trend_of_two_years_lies_in_its_interval() -> None:
+    """Daily means with season, gaps and bad values; a trend of white noise would miss most."""
+    inside = 0
+    for seed in range(SERIES):
+        rng = np.random.default_rng(seed)
+        times_s = BEGIN_S + DAY_S * np.flatnonzero(rng.random(730) > 0.1)
+        days = ((times_s - BEGIN_S) / DAY_S).astype(int)
+        truth = float(rng.normal())
+        values_mm = remembering(rng, 730, 0.2, 8.0)[days] + 0.1 * rng.normal(size=len(days))
+        values_mm += truth * days / 365.25 + 3.0 * np.cos(2.0 * np.pi * days / 365.25 + 1.0)
+        values_mm[rng.integers(0, len(days), 5)] += 4.0
+        found = trend_of(times_s, values_mm, with_days=False)
+        assert found.seasonal
+        assert found.mm_per_year.sigma < 0.25
+        inside += found.mm_per_year.low <= truth <= found.mm_per_year.high
+    assert inside >= SERIES - 3
+
+
+def test_a_step_is_found_a_day_after_it_with_its_size_and_time() -> None:
+    """0.1 mm on a daily cycle of several mm, from minutes with gaps."""
+    made = make(Bridge(days=45.0, step_day=44.0, step_mm=0.1), seed=11)
+    hours = hours_of(made.times_s, made.y_mm, made.deck_c[:, None])
+    warm = temperature_response(hours, (0,))
+    assert warm is not None
+    beside = np.column_stack([warm.columns, warm.by_lag])[warm.known]
+    found = find_steps(hours.times_s[warm.known], hours.mean_mm[warm.known], beside)
+    (step,) = found.steps
+    assert step.first_s - 3600.0 <= BEGIN_S + 44.0 * DAY_S <= step.last_s + 3600.0
+    assert step.mm.value == pytest.approx(0.1, abs=4.0 * step.mm.sigma)
+    assert step.mm.sigma < 0.02
+    assert found.smallest_in_a_day_mm < 0.1
+
+
+def test_steps_and_bad_hours_are_told_apart_and_quiet_series_have_none() -> None:
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        times_s = hours_with_gaps(rng, 60.0)
+        quiet_mm = noise_at(rng, times_s)
+        bad_mm = quiet_mm.copy()
+        bad_mm[[200, 700]] += 1.0
+        assert find_steps(times_s, bad_mm).steps == ()
+        event_s, second_s = BEGIN_S + 20.0 * DAY_S, BEGIN_S + 40.0 * DAY_S
+        values_mm = bad_mm + 6.5 * (times_s >= event_s) - 0.3 * (times_s >= second_s)
+        casting, back = find_steps(times_s, values_mm).steps
+        assert casting.first_s <= event_s <= casting.last_s  # in the week without values
+        assert abs(back.time_s - second_s) <= 7200.0
+        assert casting.mm.value == pytest.approx(6.5, abs=4.0 * casting.mm.sigma)
+        assert back.mm.value == pytest.approx(-0.3, abs=4.0 * back.mm.sigma)
+
+
+def test_a_drift_of_three_months_is_one_and_a_quiet_record_has_none() -> None:
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        times_s = hours_with_gaps(rng, 180.0)
+        values_mm = noise_at(rng, times_s)
+        quiet = recent_drift(times_s, values_mm)
+        assert not quiet.significant
+        since_days = np.maximum((times_s - BEGIN_S) / DAY_S - 90.0, 0.0)
+        drifting = recent_drift(times_s, values_mm + since_days / 365.25)
+        assert drifting.significant
+        assert drifting.mm_per_year.low <= 1.0 <= drifting.mm_per_year.high
+
+
+def test_the_level_after_an_event_less_that_before_lies_in_its_interval() -> None:
+    inside = 0
+    for seed in range(SERIES):
+        rng = np.random.default_rng(seed)
+        times_s = hours_with_gaps(rng, 20.0)
+        event_s = BEGIN_S + 10.0 * DAY_S
+        values_mm = noise_at(rng, times_s) - 6.5 * (times_s >= event_s)
+        values_mm += 2.0 * daily(times_s)[:, 0]
+        found = difference(times_s, values_mm, event_s)
+        inside += found.mm.low <= -6.5 <= found.mm.high
+    assert inside >= SERIES - 3
+    with pytest.raises(ValueError, match="before or after"):
+        difference(times_s, values_mm, BEGIN_S)
+
+
+def test_creep_of_90_days_predicts_a_year_by_whatever_law() -> None:
+    """The benchmark holds 200 bridges; here each law once a kind of noise."""
+    inside, named = 0, 0
+    for number in range(10):
+        law = CREEP_LAWS[number % len(CREEP_LAWS)]
+        times_s, values_mm, truth = make_creep(law, seed=number)
+        found = fit_creep(times_s, values_mm, BEGIN_S, [365.0])
+        (prediction,) = found.predictions
+        inside += prediction.mm.low <= truth <= prediction.mm.high
+        named += found.laws[0].law.value == law
+        assert sum(one.probability for one in found.laws) == pytest.approx(1.0)
+    assert inside >= 7
+    assert named >= 6
+
+
+def test_creep_of_a_few_days_is_refused_in_words() -> None:
+    times_s, values_mm, _ = make_creep("power", seed=1)
+    few = times_s < BEGIN_S + 5.0 * DAY_S
+    with pytest.raises(ValueError, match="too short"):
+        fit_creep(times_s[few], values_mm[few], BEGIN_S, [365.0])
+
+
+def test_the_nile_fell_in_1899_by_what_the_literature_says() -> None:
+    """Cobb, Biometrika 65 (1978): 1097.8 before, 849.9 after, of 100 years."""
+    from statsmodels.datasets import nile
+
+    data = nile.load_pandas().data
+    times_s = np.array([datetime(int(year), 7, 1, tzinfo=UTC).timestamp() for year in data.year])
+    found = find_steps(times_s, data.volume.to_numpy(), with_days=False, bend_days=np.inf)
+    (step,) = found.steps
+    assert datetime.fromtimestamp(step.time_s, UTC).year == 1899
+    assert step.mm.value == pytest.approx(-247.8, abs=0.1)
+    assert step.mm.low < -200.0 < step.mm.high + 10.0
+
+
+def test_the_carbon_dioxide_of_mauna_loa_rises_beside_its_season_without_a_step() -> None:
+    """Weeks with gaps: Keeling's curve, of which the last 15 years of the set are taken."""
+    from statsmodels.datasets import co2
+
+    series = co2.load_pandas().data.co2.dropna()
+    times_s = series.index.to_numpy().astype("datetime64[s]").astype(np.float64)
+    ppm = series.to_numpy()
+    late = times_s > times_s[-1] - 15.0 * 365.25 * DAY_S
+    times_s, ppm = times_s[late], ppm[late]
+    trend = trend_of(times_s, ppm, with_days=False)
+    years = 10.0  # of whole years the season has no part in the difference
+    first = times_s < times_s[0] + 2.0 * 365.25 * DAY_S
+    same = (times_s >= times_s[0] + years * 365.25 * DAY_S) & (
+        times_s < times_s[0] + (years + 2.0) * 365.25 * DAY_S
+    )
+    plain = (ppm[same].mean() - ppm[first].mean()) / years
+    assert trend.seasonal
+    assert trend.mm_per_year.value == pytest.approx(plain, abs=0.1)
+    assert 0.01 < trend.mm_per_year.sigma < 0.1
+    found = find_steps(times_s, ppm, yearly(times_s), with_days=False, bend_days=365.0)
+    assert found.steps == ()
