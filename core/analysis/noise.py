@@ -31,8 +31,9 @@ MEMORIES_DAYS = ((0.03, 1.5), (2.0, 60.0))
 _GAIN_LIMITS = (0.02, 50.0)
 """Bounds of a part's standard deviation over that of the white noise: none, and nothing else."""
 _START_GAINS = (0.3, 1.0, 3.0)
+"""Of each part, where a search may begin."""
 _START_MEMORIES = (0.3, 0.7)
-"""Where a search may begin, of all parts: gains, and places between a memory's bounds."""
+"""Places between the logarithms of a memory's bounds where a search may begin."""
 _REACH = 1.5
 """How far a search may go at once, in logarithms: a leap may end on another hill."""
 _STAGES = 5
