@@ -95,11 +95,12 @@ def _watched(config: Config) -> dict[str, tuple[Level, str]]:
         warns = settings.level == "warning" or name in settings.warnings
         found[name] = (Level.WARNING if warns else Level.CRITICAL, "as in dcam-ctl status")
     for one in settings.own:
-        found[one.name] = (level_of(one.severity), _about(one))
+        found[one.name] = (level_of(one.severity), about(one))
     return found
 
 
-def _about(one: ValueAlarm | RateAlarm | ReadingAlarm) -> str:
+def about(one: ValueAlarm | RateAlarm | ReadingAlarm) -> str:
+    """What an alarm of the site's own watches, in a few words."""
     if isinstance(one, RateAlarm):
         return (
             f"{one.target} {one.axis} beyond {one.limit_mm_per_day:g} mm/d over {one.window_h:g} h"

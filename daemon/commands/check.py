@@ -69,7 +69,7 @@ def _findings(site: Installation, *, hardware: bool, is_long: bool) -> Iterator[
     yield check_room(config, state)
     yield from check_database(site)
     yield check_clock(simulated=config.has_stepped_clock)
-    yield from check_alarm(config.alarm, site.config_path)
+    yield from check_alarm(config.alarm, site.config_path, config.schedule.period_s)
     yield from check_report(config.report, state)
     yield from _check_reference(config.report)
     yield check_backend(config)
