@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,8 +33,10 @@ _TEMPERATURES = {
     "temperature_main_c": "main_temperature_c",
     "temperature_sub_c": "sub_temperature_c",
 }
+_TIME = "CAST(strftime('%s', slot_utc) AS INTEGER)"
+_ALWAYS = (_TIME, "flag", "reasons", "calibration_id")
 _READ = (
-    *("CAST(strftime('%s', slot_utc) AS INTEGER)", "flag", "reasons", "calibration_id", "digest"),
+    *(*_ALWAYS, "digest"),
     *("targets", "readings", *POINT_KEYS, *ROW_KEYS, *_TEMPERATURES.values()),
 )
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
@@ -60,31 +62,41 @@ class ChartRows:
     values: Mapping[str, FloatArray]
     """(n,) by quantity: `x_mm.main`, `closure_x_mm`, `reading_air`; NaN where there is none."""
     digest: int
-    """Changes with any of the rows."""
+    """Changes with any of the rows; 0 where only some quantities were wanted."""
 
 
-def chart_rows(connection: sqlite3.Connection, since: str, until: str, datums: Datums) -> ChartRows:
-    """Rows with since <= slot < until, both as the table holds slots, in order."""
+def chart_rows(
+    connection: sqlite3.Connection,
+    since: str,
+    until: str,
+    datums: Datums,
+    wanted: Collection[str] | None = None,
+) -> ChartRows:
+    """Rows with since <= slot < until, both as the table holds slots, in order.
+
+    Only the wanted quantities, if any are named: to read the others takes time.
+    """
+    read = _READ if wanted is None else _needed(wanted)
     query = (
-        f"SELECT {', '.join(_READ)} FROM measurement"  # noqa: S608 - our own words
+        f"SELECT {', '.join(read)} FROM measurement"  # noqa: S608 - our own words
         " WHERE slot_utc >= ? AND slot_utc < ? ORDER BY slot_utc"
     )
     rows = fetch(connection, query, since, until)
-    columns = dict(zip(_READ, zip(*rows, strict=True), strict=True)) if rows else {}
+    columns = dict(zip(read, zip(*rows, strict=True), strict=True)) if rows else {}
     if not rows:
         nothing = np.zeros(0, np.int64)
         return ChartRows(nothing, nothing.astype(np.uint8), nothing.astype(np.uint64), {}, 0)
     values = _row_values(columns)
-    values |= _target_values(columns["targets"])
-    values |= _reading_values(columns["readings"])
+    values |= _target_values(columns.get("targets", ()))
+    values |= _reading_values(columns.get("readings", ()))
     _move(values, np.array(columns["calibration_id"], dtype=np.float64), datums)
     flags = np.array(columns["flag"], np.uint8)
     return ChartRows(
-        np.array(columns[_READ[0]], np.int64),
+        np.array(columns[_TIME], np.int64),
         flags,
         _masks(columns["flag"], columns["reasons"]),
         values,
-        sum(digest or 0 for digest in columns["digest"]),
+        sum(digest or 0 for digest in columns.get("digest", ())),
     )
 
 
@@ -93,7 +105,18 @@ def _row_values(columns: Mapping[str, Sequence[Any]]) -> dict[str, FloatArray]:
     return {
         name: np.array(columns[column], dtype=np.float64)
         for name, column in {**names, **_TEMPERATURES}.items()
+        if column in columns
     }
+
+
+def _needed(wanted: Collection[str]) -> tuple[str, ...]:
+    """The columns that some quantities are made of."""
+    keys = {_TEMPERATURES.get(name, name.removesuffix(f".{MAIN}")) for name in wanted}
+    if any("." in key for key in keys):
+        keys.add("targets")
+    if any(key.startswith("reading_") for key in keys):
+        keys.add("readings")
+    return (*_ALWAYS, *(column for column in _READ if column in keys))
 
 
 def _target_values(texts: Sequence[str | None]) -> dict[str, FloatArray]:

@@ -33,7 +33,7 @@ from daemon.web.answers import Answers, as_json, respond
 from daemon.web.asking import AskedWronglyError, only
 from daemon.web.follower import Follower
 from daemon.web.guard import Guard
-from daemon.web.overview import Overviews
+from daemon.web.overview import Overviews, alarm_fields
 from daemon.web.record import Record
 from daemon.web.series import MOST_BUCKETS, Asked, quantities_of, series, spans
 from daemon.web.settings import Settings
@@ -42,7 +42,6 @@ from daemon.web.worker import Worker, WorkerError
 HERE = Path(__file__).parent
 THREADS = 4
 """For questions to the database: more would only take memory."""
-FIRST_LOOK_S = 2.0
 _WIDTHS = (0, 160, 320, 960)
 
 
@@ -108,7 +107,7 @@ class Page:
         since, until = asking.span(query, self._last_week)
         buckets = int(asking.number(query, "buckets", 2000, 1, MOST_BUCKETS))
         asked = Asked(names, since, until, buckets)
-        self.follower.wait_current(FIRST_LOOK_S)
+        self.follower.wait_current()
         key = (asked, self.follower.progress())
         return self.answer(request, lambda: series(self.record, self.follower.pyramid, asked), key)
 
@@ -120,7 +119,7 @@ class Page:
         least_s = (until - since).total_seconds() / 2000
         resolution_s = asking.number(query, "resolution", least_s, 0, 1e9)
         resolution_s = max(resolution_s, least_s)
-        self.follower.wait_current(FIRST_LOOK_S)
+        self.follower.wait_current()
         return self.answer(
             request,
             lambda: spans(self.record, self.follower.pyramid, since, until, resolution_s),
@@ -143,7 +142,7 @@ class Page:
         if (until - since).days > slots.MOST_DAYS:
             msg = f"since: at most {slots.MOST_DAYS} days at once"
             raise AskedWronglyError(msg)
-        self.follower.wait_current(FIRST_LOOK_S)
+        self.follower.wait_current()
         pyramid, span = self.follower.pyramid, self.record.span()
         now_utc = span[1] if span and self.config.has_stepped_clock else datetime.now(UTC)
         return self.answer(
@@ -171,6 +170,10 @@ class Page:
             return self.answer(request, lambda: make(self.record))
 
         return answer
+
+    def alarms(self, _record: Record) -> dict[str, Any]:
+        """All alarms, those that are raised first."""
+        return {"schema": 1, "alarms": alarm_fields(self.settings)}
 
     def _last(self, days: float) -> tuple[datetime, datetime]:
         span = self.record.span()
@@ -321,6 +324,7 @@ def _routes(page: Page) -> list[Route | Mount]:
         Route("/api/gaps", page.listed(slots.gaps)),
         Route("/api/events", page.listed(slots.events)),
         Route("/api/calibrations", page.whole(slots.calibrations)),
+        Route("/api/alarms", page.whole(page.alarms)),
         Route("/api/datum", page.whole(slots.datum)),
         Route("/api/aim", page.aim),
         Route("/aim/{name}", page.aim_picture),

@@ -7,11 +7,13 @@ short transaction of its own, so that no reader keeps the write-ahead log from b
 
 from __future__ import annotations
 
+import ctypes
 import fcntl
 import json
 import os
 import sqlite3
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
@@ -35,7 +37,9 @@ from daemon.web.pyramid import DAY_S, EPOCH_S, Pyramid, digest_of, lowest_width_
 
 LOOK_S = 3.0
 """From one look at the database to the next."""
-_PAUSE_S = 0.002
+FIRST_LOOK_S = 2.0
+"""After the start, for which a reader waits: a young record is built by then."""
+_PAUSE_S = 0.01
 """After each day of a first build: others want the processor too."""
 _SAVE_DAYS = 200
 _VERSION = 1
@@ -89,6 +93,7 @@ class Follower(threading.Thread):
         self._share = 0.0
         self._complete = False
         self._round = 0
+        self._patience_s = time.monotonic() + FIRST_LOOK_S
         self._wake = threading.Event()
         self._ended = threading.Event()
         self._current = threading.Event()
@@ -98,9 +103,9 @@ class Follower(threading.Thread):
         """How far it is."""
         return Progress(self._complete, self._share, self._changes, self._trouble)
 
-    def wait_current(self, seconds: float) -> None:
-        """Wait until the first look and build are over, but not longer than some seconds."""
-        self._current.wait(seconds)
+    def wait_current(self) -> None:
+        """Wait until the first look and build are over; no longer than a moment after the start."""
+        self._current.wait(max(self._patience_s - time.monotonic(), 0.0))
 
     def stop(self) -> None:
         """End soon."""
@@ -138,6 +143,7 @@ class Follower(threading.Thread):
         self._work_off()
         self._go_round()
         self._save()
+        give_back_memory()
 
     def _is_first(self) -> bool:
         """Whether the cache is ours to write."""
@@ -302,6 +308,13 @@ class Follower(threading.Thread):
         part = path.with_suffix(".part")
         part.write_text(text, encoding="utf-8")
         part.replace(path)
+
+
+def give_back_memory() -> None:
+    """Let the system have what the last work has freed: the page is small at rest."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:  # glibc's own
+        trim(0)
 
 
 def _moved(connection: sqlite3.Connection) -> str:

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from core.site import TargetRole
+from daemon.alarm.armed import alarm_item, armed_alarms
 from daemon.config.reading import Config
 from daemon.errors import StoreError
 from daemon.status.facts import Facts, collect_facts
@@ -65,15 +66,19 @@ class Overviews:
         named = {one.name: one.unit for one in config.reading} | named
         return {
             **head,
-            **_judged(judge(facts)),
+            **_judged([*judge(facts), self._alarms()]),
             "last": _last(facts),
             "points": _points(config, facts.last),
             "coverage": {"h24": _share(facts.coverage_24h), "d30": _share(facts.coverage_30d)},
             "disk": asdict(facts.disk),
+            "alarms": alarm_fields(self._settings),
             "readings": [{"name": name, "unit": unit} for name, unit in named.items()],
             "span": self._span(facts),
             "building": self._building(),
         }
+
+    def _alarms(self) -> Item:
+        return alarm_item(self._settings.site.config, self._settings.state, datetime.now(UTC))
 
     def _span(self, facts: Facts) -> dict[str, datetime] | None:
         if facts.first_slot_utc is None:
@@ -98,6 +103,12 @@ def _head(config: Config, now_utc: datetime) -> dict[str, Any]:
         "points": _points(config, None),
         "readings": [{"name": one.name, "unit": one.unit} for one in config.reading],
     }
+
+
+def alarm_fields(settings: Settings) -> list[dict[str, Any]]:
+    """What is armed, raised, acknowledged and silenced, as `alarm list` says it."""
+    found = armed_alarms(settings.site.config, settings.state, datetime.now(UTC))
+    return [{**one.fields(), "since": one.since_utc} for one in found]
 
 
 def _judged(items: list[Item]) -> dict[str, Any]:

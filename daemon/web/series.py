@@ -77,7 +77,8 @@ def series(record: Record, pyramid: Pyramid, asked: Asked) -> dict[str, Any]:
         with record.reading() as connection:
             count = row_count(connection, since, until, most)
             if count < most:
-                rows = chart_rows(connection, since, until, read_datums(connection))
+                datums = read_datums(connection)
+                rows = chart_rows(connection, since, until, datums, asked.quantities)
                 single = count <= asked.buckets
                 return _rows(asked, rows) if single else _of_rows(asked, rows)
     return _of_pyramid(pyramid, asked)

@@ -75,6 +75,7 @@ def test_what_the_service_needs_is_in_place(installed: Path) -> None:
         "lib/systemd/system/dcam-report.service",
         "lib/systemd/system/dcam-report.timer",
         "lib/systemd/system/dcam-send.service",
+        "lib/systemd/system/dcam-web.service",
         "lib/sysusers.d/dcam.conf",
         "lib/tmpfiles.d/dcam.conf",
         "lib/sysctl.d/60-dcam.conf",
@@ -87,7 +88,7 @@ def test_what_the_service_needs_is_in_place(installed: Path) -> None:
         *(MANUAL if shutil.which("help2man") else ()),
     ):
         assert stat.S_IMODE((installed / "usr/local" / name).stat().st_mode) == 0o644
-    for program in ("dcamd", "dcam-ctl"):
+    for program in ("dcamd", "dcam-ctl", "dcam-web"):
         link = (installed / "usr/local/bin" / program).readlink()
         assert link == Path("/opt/dcam/venv/bin") / program
         first_line = (installed / "opt/dcam/venv/bin" / program).read_text().splitlines()[0]
@@ -281,7 +282,7 @@ def test_debian_package_holds_it_all(package: Path, tmp_path: Path) -> None:
     assert files["/usr/lib/dcam/venv/bin/dcamd"] == "-rwxr-xr-x"
     assert files["/usr/bin/dcam-ctl"].startswith("l")
     units = ("dcamd.service", "dcam-alarm.service", "dcam-alarm.timer")
-    units += ("dcam-report.service", "dcam-report.timer", "dcam-send.service")
+    units += ("dcam-report.service", "dcam-report.timer", "dcam-send.service", "dcam-web.service")
     for name in (
         *(f"lib/systemd/system/{unit}" for unit in units),
         "lib/udev/rules.d/60-dcam.rules",

@@ -42,13 +42,16 @@ def service() -> configparser.SectionProxy:
 def test_systemd_has_nothing_to_say_against_the_units(tmp_path: Path) -> None:
     """The installed programs are not here: stand-ins take their places, nothing else is changed."""
     installed = Path(service()["ExecStart"]).parent
-    for program in ("dcamd", "dcam-ctl"):
+    for program in ("dcamd", "dcam-ctl", "dcam-web"):
         stand_in = tmp_path / program
         stand_in.write_text("#!/bin/sh\n")
         stand_in.chmod(0o755)
     units = [
         tmp_path / name
-        for name in ("dcamd.service", "dcam-alarm.service", TIMER, "dcam-send.service")
+        for name in (
+            *("dcamd.service", "dcam-alarm.service", TIMER, "dcam-send.service"),
+            "dcam-web.service",
+        )
     ]
     for unit in units:
         text = (UNITS / unit.name).read_text()
@@ -63,7 +66,10 @@ def test_systemd_has_nothing_to_say_against_the_units(tmp_path: Path) -> None:
 
 
 @needs_systemd
-@pytest.mark.parametrize("name", ["dcamd.service", "dcam-alarm.service", "dcam-send.service"])
+@pytest.mark.parametrize(
+    "name",
+    ["dcamd.service", "dcam-alarm.service", "dcam-send.service", "dcam-web.service"],
+)
 def test_systemd_rates_the_unit_as_locked_in(name: str) -> None:
     """At most 1.5 of 10; more would be reachable than two cameras, a serial port and its files."""
     result = subprocess.run(
