@@ -31,20 +31,37 @@ class Confirmation:
     text: str
 
 
-def confirm(alarm: ValueAlarm, limit: float, state: Path) -> Confirmation:
-    """Ask for a second measurement, for a while at most; never raises."""
+class SecondMeasurement:
+    """One for all alarms of a look: a pair shows every target, and there is room for one only."""
+
+    def __init__(self, state: Path) -> None:
+        self._state = state
+        self._answer: dict[str, Any] | str | None = None
+
+    def confirm(self, alarm: ValueAlarm, limit: float) -> Confirmation:
+        """Ask for it at the first call, for a while at most; never raises."""
+        if self._answer is None:
+            self._answer = _asked(self._state)
+        if isinstance(self._answer, str):
+            return _unconfirmed(self._answer)
+        try:
+            return _judged(alarm, limit, self._answer)
+        except (KeyError, TypeError, AttributeError):
+            return _unconfirmed("a dcamd of another version answered; restart dcamd")
+
+
+def _asked(state: Path) -> dict[str, Any] | str:
+    """Give the look, or why there is none."""
     try:
         look = DeadlineThread("dcam-confirm", lambda: None).call(lambda: _look(state), BOUND_S)
     except DeadlineExceededError:
-        return _unconfirmed(f"no second measurement within {BOUND_S:.0f} s")
+        return f"no second measurement within {BOUND_S:.0f} s"
     except Exception as error:  # noqa: BLE001 - whatever it is, the alarm must go out
-        return _unconfirmed("; ".join(lines_of(error)))
-    if look is None:
-        return _unconfirmed("no dcamd runs that could measure again")
-    return judge_look(alarm, limit, look)
+        return "; ".join(lines_of(error))
+    return "no dcamd runs that could measure again" if look is None else look
 
 
-def judge_look(alarm: ValueAlarm, limit: float, look: dict[str, Any]) -> Confirmation:
+def _judged(alarm: ValueAlarm, limit: float, look: dict[str, Any]) -> Confirmation:
     """Hold a second measurement against the limit."""
     row = look["measurement"]
     if alarm.target != "main":

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-from daemon.alarm.confirmation import Outcome, confirm
+from daemon.alarm.confirmation import Outcome, SecondMeasurement
 from daemon.alarm.history import Happened, Kind, note_history
 from daemon.alarm.memory import Memory, keep_memory
 from daemon.alarm.orders import read_orders
@@ -140,6 +140,7 @@ def _confirmed(
     place: Place, found: Found, kept: Memory, now_utc: datetime
 ) -> tuple[Found, dict[str, int], dict[str, str]]:
     """Ask for a second measurement where a new alarm wants it; hold back what it contradicts."""
+    second = SecondMeasurement(place.state)
     held: dict[str, int] = {}
     said: dict[str, str] = {}
     answers: list[Verdict] = []
@@ -149,7 +150,7 @@ def _confirmed(
         if not isinstance(alarm, ValueAlarm) or not alarm.confirm or not is_new:
             answers.append(one)
             continue
-        answer = confirm(alarm, one.limit or 0.0, place.state)
+        answer = second.confirm(alarm, one.limit or 0.0)
         times = kept.held.get(name, 0) + 1
         if answer.outcome is Outcome.CONTRADICTED and times <= MOST_HELD:
             held[name] = times
