@@ -32,6 +32,7 @@ COMMANDS = {
     "alarm": "Send people what status finds wrong; run by a timer.",
     "metrics": "What status knows, for Prometheus.",
     "gaps": "List slots without a measurement, and why.",
+    "ledger": "What people say of spans of the record: notes, exclusions.",
     "export": "Write measurements as a table.",
     "send": "Pass rows on to MQTT and InfluxDB, each once.",
     "analyse": "Days, temperature, trend, steps and creep, with confidence.",

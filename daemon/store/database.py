@@ -18,7 +18,7 @@ from sqlalchemy import Engine
 
 from core.arrays import FloatArray
 from daemon.durable import fsync_directory
-from daemon.store import calibrations, datum, events, frame_days, measurements, undated
+from daemon.store import calibrations, datum, events, frame_days, ledger, measurements, undated
 from daemon.store import gaps as gap_runs
 from daemon.store.accounting import missing_slots
 from daemon.store.columns import read_columns
@@ -344,6 +344,13 @@ class Store(Transactions):
         """
         with self._session() as session:
             return frame_days.has_removed(session, slot_utc)
+
+    # The quality ledger
+
+    def add_ledger_entry(self, entry: ledger.LedgerEntry) -> int:
+        """Add what a person says of the record; give its number. Raises UsageError."""
+        with self._write() as session:
+            return ledger.add_entry(session, entry)
 
     # Events and marks
 

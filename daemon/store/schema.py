@@ -289,6 +289,25 @@ class DatumRow(Base):
     detail: Mapped[str]
 
 
+class LedgerRow(Base):
+    """What a person said of the record; triggers refuse UPDATE and DELETE."""
+
+    __tablename__ = "ledger"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    created_utc: Mapped[datetime] = mapped_column(Instant)
+    author: Mapped[str]
+    kind: Mapped[str]
+    since_utc: Mapped[datetime | None]
+    until_utc: Mapped[datetime | None]
+    """The span since <= slot < until; None of what answers another entry."""
+    point: Mapped[str | None]
+    """`main` or a further target; None: all."""
+    entry_id: Mapped[int | None]
+    """The entry that is commented or taken back; it may be lost to damage."""
+    text: Mapped[str]
+
+
 class EventRow(Base):
     """Something that happened to the system."""
 

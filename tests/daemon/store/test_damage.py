@@ -15,6 +15,7 @@ from alembic import command
 from daemon.errors import DatabaseDamagedError, DatabaseNewerError, DatabaseUnwritableError
 from daemon.store.database import open_store, open_store_readonly
 from daemon.store.engine import make_engine
+from daemon.store.ledger import LedgerEntry, LedgerKind
 from daemon.store.migrate import alembic_config
 from daemon.store.opening import damage_noted, open_checked_store
 from daemon.store.records import GapCause, Mark
@@ -35,7 +36,8 @@ ROWS = 120
 BIG = {"method": "rigid", "numbers": list(range(3000))}
 """A calibration that needs several pages."""
 EVERYTHING = (
-    *("measurement", "gap", "calibration", "calibration_activation", "datum", "event", "mark"),
+    *("measurement", "gap", "calibration", "calibration_activation", "datum", "ledger"),
+    *("event", "mark"),
 )
 
 Row = tuple[object, ...]
@@ -63,6 +65,8 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
             store.record_gap(slot(first), slot(first + 9), GapCause.CRASH, period_s=PERIOD_S)
         for number in range(40):
             store.add_event(START, "happened", f"number {number}")
+        note = LedgerEntry(LedgerKind.EXCLUDE, "eve", START, "paint", slot(3), slot(9))
+        store.add_ledger_entry(note)
         store.set_mark(Mark.BOOT_ID, "boot-1")
         store.set_mark(Mark.CLEAN_STOP_UTC, "2026-03-01T02:00:00.000000Z")
     return state

@@ -1,0 +1,172 @@
+"""The quality ledger: what people say of spans of the record. Measured rows are never touched.
+
+Entries are only added. One that was wrong is taken back by another, which can be taken back itself.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from sqlalchemy.orm import Session
+
+from core.arrays import BoolArray
+from daemon.errors import UsageError
+from daemon.store.convert import stored_time
+from daemon.store.reading import whole_rows
+from daemon.store.schema import LedgerRow
+from daemon.store.sqlite import connect_readonly, said_plainly
+from daemon.times import utc_array
+
+MAIN_POINT = "main"
+
+
+class LedgerKind(StrEnum):
+    """What an entry does: a closed list."""
+
+    ANNOTATE = "annotate"
+    """Says what happened in a span."""
+    EXCLUDE = "exclude"
+    """Leaves a span's values out of figures and sums that are said to be without them."""
+    COMMENT = "comment"
+    """Adds to another entry."""
+    UNDO = "undo"
+    """Takes another entry back."""
+
+
+@dataclass(frozen=True, slots=True)
+class LedgerEntry:
+    """One thing that a person said of the record."""
+
+    kind: LedgerKind
+    author: str
+    created_utc: datetime
+    text: str
+    since_utc: datetime | None = None
+    until_utc: datetime | None = None
+    """since <= slot < until; None of a comment and of an undo."""
+    point: str | None = None
+    """`main` or a further target's name; None: all."""
+    entry_id: int | None = None
+    """The entry that is commented or taken back."""
+    id: int | None = None
+    """Given by the database."""
+
+
+Span = tuple[datetime, datetime]
+"""since <= slot < until."""
+
+
+def read_ledger(path: Path) -> list[LedgerEntry]:
+    """All entries of a database, oldest first. Raises StoreError."""
+    with said_plainly(path), closing(connect_readonly(path)) as connection:
+        return ledger_entries(connection)
+
+
+def ledger_entries(connection: sqlite3.Connection) -> list[LedgerEntry]:
+    """All entries, oldest first."""
+    return [_entry(row) for row in whole_rows(connection, "ledger", _QUERY)]
+
+
+_QUERY = "SELECT * FROM ledger ORDER BY id"
+
+
+def add_entry(session: Session, entry: LedgerEntry) -> int:
+    """Add an entry; give its number.
+
+    Raises UsageError for an entry that answers one that is not there, or takes back what is
+    taken back already.
+    """
+    rows = session.query(LedgerRow).order_by(LedgerRow.id).all()
+    known = [_entry({name: getattr(row, name) for name in _COLUMNS}) for row in rows]
+    if entry.entry_id is not None:
+        _require_answerable(known, entry)
+    row = LedgerRow(**{name: getattr(entry, name) for name in _COLUMNS if name != "id"})
+    session.add(row)
+    session.flush()
+    return row.id
+
+
+_COLUMNS = (
+    *("id", "created_utc", "author", "kind", "since_utc", "until_utc", "point", "entry_id"),
+    "text",
+)
+
+
+def _require_answerable(known: Sequence[LedgerEntry], entry: LedgerEntry) -> None:
+    if entry.entry_id not in {one.id for one in known}:
+        msg = f"the ledger has no entry {entry.entry_id}; dcam-ctl ledger lists them"
+        raise UsageError(msg)
+    if entry.kind is LedgerKind.UNDO and entry.entry_id in undone(known):
+        msg = f"entry {entry.entry_id} is taken back already"
+        raise UsageError(msg)
+
+
+def undone(entries: Sequence[LedgerEntry]) -> dict[int, LedgerEntry]:
+    """The entries that do not hold, by number, each with the undo that took it back.
+
+    An undo that was taken back itself takes nothing back.
+    """
+    found: dict[int, LedgerEntry] = {}
+    for entry in reversed(entries):  # an undo is younger than what it takes back
+        if entry.kind is LedgerKind.UNDO and entry.id not in found and entry.entry_id is not None:
+            found.setdefault(entry.entry_id, entry)
+    return found
+
+
+def in_force(entries: Sequence[LedgerEntry]) -> list[LedgerEntry]:
+    """The annotations and exclusions that hold, in the order of their spans."""
+    gone = undone(entries)
+    spans = [one for one in entries if one.since_utc is not None and one.id not in gone]
+    return sorted(spans, key=lambda one: (str(one.since_utc), one.id))
+
+
+def excluded_spans(entries: Sequence[LedgerEntry], point: str = MAIN_POINT) -> list[Span]:
+    """The spans whose values of a point are left out: in order, none touching another."""
+    spans: list[Span] = []
+    for entry in in_force(entries):
+        if entry.kind is not LedgerKind.EXCLUDE or entry.point not in {None, point}:
+            continue
+        if entry.since_utc is None or entry.until_utc is None:
+            continue
+        if spans and entry.since_utc <= spans[-1][1]:
+            spans[-1] = spans[-1][0], max(spans[-1][1], entry.until_utc)
+        else:
+            spans.append((entry.since_utc, entry.until_utc))
+    return spans
+
+
+def is_excluded(slots: Sequence[str | None], spans: Iterable[Span]) -> BoolArray:
+    """(n,) whether each slot, as the database writes it, lies in one of the spans."""
+    times = utc_array(slots)
+    within = np.zeros(len(times), dtype=np.bool_)
+    for since, until in spans:
+        begin, end = (np.datetime64(when.replace(tzinfo=None), "us") for when in (since, until))
+        within |= (times >= begin) & (times < end)
+    return within
+
+
+def _entry(row: dict[str, Any]) -> LedgerEntry:
+    since, until = (
+        stored_time(when) if isinstance(when, str) else when
+        for when in (row["since_utc"], row["until_utc"])
+    )
+    created = row["created_utc"]
+    return LedgerEntry(
+        kind=LedgerKind(row["kind"]),
+        author=row["author"],
+        created_utc=stored_time(created) if isinstance(created, str) else created,
+        text=row["text"],
+        since_utc=since,
+        until_utc=until,
+        point=row["point"],
+        entry_id=row["entry_id"],
+        id=row["id"],
+    )

@@ -1,0 +1,82 @@
+"""`dcam-ctl ledger` from outside: who said what of which span, and what became of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from daemon.store.database import open_store
+from tests.daemon.commands.conftest import Ctl, Ran
+
+SPAN = ("--since", "2026-05-15T08:00Z", "--until", "2026-05-15T17:00Z")
+
+
+@pytest.fixture
+def state(tmp_path: Path) -> Path:
+    with open_store(tmp_path / "state"):
+        return tmp_path / "state"
+
+
+@pytest.fixture
+def ledger(ctl: Ctl, state: Path):
+    def run(*arguments: object) -> Ran:
+        return ctl("--state", state, "ledger", *arguments)
+
+    return run
+
+
+def test_an_exclusion_is_entered_listed_commented_and_taken_back(ledger) -> None:
+    entered = ledger("exclude", *SPAN, "--by", "Eve", "plate being painted")
+    assert entered.code == 0, entered.err
+    assert entered.out == "entry 1: exclude 2026-05-15T08:00:00Z to 2026-05-15T16:59:59Z\n"
+    assert ledger("comment", "1", "see the diary").code == 0
+    listed = ledger().out
+    assert "plate being painted (commented)" in listed
+    assert "Eve" in listed
+    said = json.loads(ledger("--json").out)
+    (span,) = said["excluded"]["main"]
+    assert span == {"since_utc": "2026-05-15T08:00:00Z", "until_utc": "2026-05-15T17:00:00Z"}
+
+    assert ledger("undo", "1", "it was another plate").code == 0
+    assert "nothing holds" in ledger().out
+    history = json.loads(ledger("history", "--json").out)
+    assert [entry["kind"] for entry in history["entries"]] == ["exclude", "comment", "undo"]
+    assert history["entries"][0]["undone_by"] == 3
+    assert history["excluded"]["main"] == []
+
+
+def test_times_are_given_and_shown_in_the_zone_of_people(ledger) -> None:
+    zone = ("--tz", "Europe/Berlin")
+    summer = ("--since", "2026-05-15T10:00", "--until", "2026-05-15T19:00")
+    assert ledger("annotate", *zone, *summer, "slab cast").code == 0
+    (entry,) = json.loads(ledger("--json").out)["entries"]
+    assert entry["since_utc"] == "2026-05-15T08:00:00Z"
+    assert "2026-05-15T10:00:00+02:00" in ledger(*zone).out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (("exclude", "why"), "give --since and --until"),
+        (("exclude", *SPAN, " "), "say it in words"),
+        (("exclude", *SPAN[:3], SPAN[1], "why"), "the span is empty"),
+        (("undo", "4", "why"), "the ledger has no entry 4"),
+        (("anotate", *SPAN, "why"), "Did you mean 'annotate'"),
+    ],
+)
+def test_a_mistake_is_one_clear_line_and_enters_nothing(ledger, arguments, why) -> None:
+    ran = ledger(*arguments)
+    assert ran.code == 2
+    assert why in ran.err
+    assert "Traceback" not in ran.err
+    assert ledger().out == "the ledger is empty\n"
+
+
+def test_a_point_that_the_config_does_not_have_is_refused(ctl: Ctl, bench: Path, state) -> None:
+    config = ("--config", bench / "dcam.toml", "--state", state)
+    ran = ctl(*config, "ledger", "exclude", *SPAN, "--point", "abutmend", "why")
+    assert ran.code == 2
+    assert "--point abutmend: the config has main" in ran.err
+    assert ctl(*config, "ledger", "exclude", *SPAN, "--point", "main", "why").code == 0
