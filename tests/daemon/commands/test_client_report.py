@@ -6,6 +6,7 @@ import json
 import math
 import re
 import shutil
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from html.parser import HTMLParser
 from pathlib import Path
@@ -19,6 +20,7 @@ from daemon.ctl import cli
 from daemon.error_report import run
 from daemon.main import serve
 from daemon.reports.monthly import last_month
+from daemon.reports.statement import Statement, make_statement
 from daemon.status.item import Level
 from daemon.store.database import open_store, open_store_readonly
 from daemon.store.records import GapCause
@@ -165,6 +167,35 @@ def test_the_budget_is_that_of_the_row(report, measured: Path) -> None:
     independent = [one for one in lines[:joint] if one[4] and not one[0].startswith(CORRELATED)]
     total = sum(float(one[6]) ** 2 for one in (*independent, lines[joint]))
     assert math.sqrt(total) == pytest.approx(float(lines[end][6]), rel=0.06)
+
+
+def test_a_row_of_a_hidden_plate_has_the_budget_that_it_was_measured_with(
+    measured: Path, tmp_path: Path
+) -> None:
+    """The stability budget's, or a smaller one: then fixed targets had taught how the rig turns."""
+    shutil.copytree(measured / "state", tmp_path / "state")
+    config = load_config(measured / "dcam.toml")
+    with open_store(tmp_path / "state") as store:
+        row = list(store.measurements())[2]
+        corrected = row.measurement.corrected
+        assert corrected is not None
+        assert corrected.image_mm2 is not None
+        part_mm2 = corrected.covariance_mm2 - corrected.image_mm2
+        for minute, share in ((5, 1.2), (6, 0.25)):  # the budget grows from minute 2 on
+            whole = replace(corrected, covariance_mm2=corrected.image_mm2 + share * part_mm2)
+            measurement = replace(row.measurement, corrected=whole)
+            store.add_measurement(replace(row, slot_utc=slot(minute), measurement=measurement))
+        lines = []
+        for minute in (5, 6):
+            found = make_statement(
+                store, config.site(), config.config_hash(), slot(minute), trials=0
+            )
+            assert isinstance(found, Statement)
+            assert abs(found.difference).max() < 0.01
+            lines.append([one.name for one in found.budget.inputs])
+    assert sum("cameras turning" in name for name in lines[0]) == 2
+    assert not [name for name in lines[1] if "cameras turning" in name]
+    assert "the cameras' turn, as fixed targets had taught it" in lines[1]
 
 
 CORRELATED = ("lens of", "print and", "reference:", "rotation between", "offset", "distance and")
