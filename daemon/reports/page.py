@@ -12,6 +12,7 @@ from jinja2 import Environment, StrictUndefined
 
 from daemon.config.reading import Installation
 from daemon.reports import sections
+from daemon.reports.analysis_blocks import Studies, analysis_blocks, read_studies
 from daemon.reports.beside_reference import Beside, read_beside
 from daemon.reports.document import Block, Document
 from daemon.reports.history import History, read_history
@@ -72,11 +73,15 @@ def make_report(
     if plan.reference is not None:
         span = history.since_utc, history.until_utc
         beside = read_beside(store.path, plan.reference, plan.zero, plan.window_s, *span)
+    begin("analysing")
+    words = sections.Words(plan.zone)
+    whole = history.since_utc, history.until_utc
+    studies = read_studies(store, whole, schedule.period_s, words, tell)
     begin("checking the uncertainty")
     statement = _statement(site, store, history, plan, tell)
     begin("drawing")
-    blocks = tuple(_blocks(site, store, history, plan, beside, statement))
-    words = sections.Words(plan.zone)
+    read = _Read(history, beside, studies, statement)
+    blocks = tuple(_blocks(site, store, plan, read))
     span_text = f"{words.when(history.since_utc)} to {words.when(history.until_utc)}"
     title = f"{site.config.name}: {span_text}"
     return Report(Document(site.config.name, title, blocks), history)
@@ -92,20 +97,25 @@ def _statement(
     return make_statement(store, config.site(), config.config_hash(), slot_utc, tell, plan.trials)
 
 
-def _blocks(
-    site: Installation,
-    store: Store,
-    history: History,
-    plan: ReportPlan,
-    beside: Beside | None,
-    statement: Statement | str,
-) -> Iterator[Block]:
+@dataclass(frozen=True, slots=True)
+class _Read:
+    """What was found."""
+
+    history: History
+    beside: Beside | None
+    studies: Studies | None
+    statement: Statement | str
+
+
+def _blocks(site: Installation, store: Store, plan: ReportPlan, read: _Read) -> Iterator[Block]:
     config, words = site.config, sections.Words(plan.zone)
+    history, beside = read.history, read.beside
     facts = collect_facts(config, site.state_directory, datetime.now(UTC))
     pictures: Sequence[str] = [{"html": "svg"}.get(one, one) for one in plan.formats]
     yield from sections.head(config, history, words, facts.now_utc.replace(microsecond=0))
     yield from sections.figure(config, history, words, beside, pictures)
     yield from sections.values(history)
+    yield from analysis_blocks(read.studies, words)
     yield from sections.site_and_method(config)
     yield from sections.completeness(history, words)
     yield from sections.reference(beside)
@@ -113,7 +123,7 @@ def _blocks(
     found = [(store.calibration(number), store.datum(number)) for number in history.calibrations]
     yield from sections.calibrations(found, config.config_hash(), words)
     yield from statement_blocks(
-        statement,
+        read.statement,
         history.good,
         words.when,
         config.report.traceability,

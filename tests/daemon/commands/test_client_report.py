@@ -130,6 +130,8 @@ def test_html_and_pdf_say_the_same_and_markup_stays_text(report) -> None:
         assert fact in text, fact
     for fact in ("Roads &lt;b&gt;Authority&lt;/b&gt;", "Statement of uncertainty", "E_n up to"):
         assert fact in page
+    assert cells.row("2026-03-01")[1] == "100%"
+    assert "y: 0.0 days with enough good rows" in text
     assert page.count("data:image/svg+xml;base64,") == 1
     assert pictures_of(pdf) == 0  # the figure is lines, not pixels
 
