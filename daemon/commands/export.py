@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from contextlib import nullcontext
 from datetime import datetime
 from pathlib import Path
@@ -18,7 +19,7 @@ from daemon.commands.options import (
 )
 from daemon.commands.output import note, progress, shown_zone
 from daemon.commands.output_files import new_file, opened_table
-from daemon.errors import UsageError
+from daemon.errors import ConfigError, UsageError
 from daemon.store.database import ALWAYS, NEVER, open_store_readonly
 
 if TYPE_CHECKING:
@@ -32,11 +33,11 @@ if TYPE_CHECKING:
 @click.option(
     "--format",
     "file_format",
-    type=click.Choice(["csv", "csv-plain", "parquet", "netcdf"]),
+    type=click.Choice(["csv", "csv-plain", "parquet", "arrow", "netcdf"]),
     default="csv",
     show_default=True,
-    help="What to write; csv-plain is for spreadsheets: few columns, local time; parquet and "
-    "netcdf need dcam's extra of that name.",
+    help="What to write; csv-plain is for spreadsheets: few columns, local time; arrow is a "
+    "stream. parquet and arrow need dcam's extra parquet, netcdf its own.",
 )
 @click.option(
     "--decimal",
@@ -83,10 +84,29 @@ def command(
 
             with opened_table(output) as table:
                 count = write_plain(slots, table, shown_zone(), comma=decimal == "comma")
+        elif file_format == "arrow" and output is None:
+            from daemon.reports.files import write_arrow
+
+            _require_pipe()
+            count = write_arrow(slots, sys.stdout.buffer, _site_name(options))
         else:
             count = _write_file(file_format, slots, output, options)
     if output is not None:
         note(f"{count} rows written to {output}")
+
+
+def _require_pipe() -> None:
+    if sys.stdout.isatty():
+        msg = "--format arrow is no text: give --output FILE, or pipe it to a program"
+        raise UsageError(msg)
+
+
+def _site_name(options: Options) -> str | None:
+    """The site's name; a copied state is read without a config."""
+    try:
+        return options.config.name
+    except ConfigError:
+        return None
 
 
 def _write_file(file_format: str, slots: SlotTable, output: Path | None, options: Options) -> int:
@@ -97,7 +117,12 @@ def _write_file(file_format: str, slots: SlotTable, output: Path | None, options
         if file_format == "parquet":
             from daemon.reports.files import write_parquet
 
-            return write_parquet(slots, temporary)
+            return write_parquet(slots, temporary, _site_name(options))
+        if file_format == "arrow":
+            from daemon.reports.files import write_arrow
+
+            with temporary.open("wb") as stream:
+                return write_arrow(slots, stream, _site_name(options))
         from daemon.reports.netcdf import write_netcdf
 
         return write_netcdf(slots, temporary, options.config.name)

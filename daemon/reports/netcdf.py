@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from core.results import Flag
-from daemon.reports.files import require_library
+from daemon.reports.files import meaning_of, require_library
 from daemon.reports.slot_table import SlotTable, kind_of_column
 from daemon.store import column_meanings
 from daemon.store.columns import BATCH
-from daemon.store.sensors import Sensor, is_reading
+from daemon.store.sensors import is_reading
 from daemon.store.targets import target_of_column
 from daemon.times import utc_array
 from daemon.version import VERSION
@@ -42,11 +42,7 @@ def write_netcdf(slots: SlotTable, path: Path, site: str) -> int:
     count = 0
     with h5netcdf.File(path, "w") as file:
         _describe(file, site)
-        meanings = {sensor.column: _meaning(sensor) for sensor in slots.sensors}
-        variables = {
-            name: _variable(file, name, meanings.get(name) or column_meanings.of(name))
-            for name in slots.columns
-        }
+        variables = {name: _variable(file, name, meaning_of(slots, name)) for name in slots.columns}
         for batch in slots.batches:
             part = slice(count, count + len(batch))
             file.resize_dimension("time", part.stop)
@@ -66,10 +62,6 @@ def _describe(file: Any, site: str) -> None:
     station = file.create_variable("station", (), dtype=h5py.string_dtype())
     station.attrs["cf_role"], station.attrs["long_name"] = "timeseries_id", "site"
     station[...] = site
-
-
-def _meaning(sensor: Sensor) -> column_meanings.Meaning:
-    return column_meanings.Meaning(sensor.unit, f"reading {sensor.name}")
 
 
 def _variable(file: Any, name: str, meaning: column_meanings.Meaning) -> Any:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import csv
 import io
+import sqlite3
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import h5netcdf
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from daemon.reports.files import write_parquet
+from daemon.reports.files import write_arrow, write_parquet
 from daemon.reports.netcdf import write_netcdf
 from daemon.reports.slot_table import COLUMNS, SlotTable, kind_of_column, slot_table
 from daemon.reports.table import write_slots
@@ -159,3 +163,68 @@ def test_readings_are_columns_with_their_units(tmp_path: Path) -> None:
         assert [file[name].attrs["units"] for name in list(columns)[:3]] == ["degF", "degC", "degC"]
         assert file["reading_steel-2"].attrs["long_name"] == "reading steel-2"
         assert file["reading_steel-2"][...].tolist()[2] == 7.0
+
+
+def stored_rows(state: Path) -> list[dict[str, object]]:
+    """The measured rows as SQLite holds them, in the order of their slots."""
+    with closing(sqlite3.connect(state / "dcam.db")) as connection:
+        connection.row_factory = sqlite3.Row
+        return [
+            dict(row) for row in connection.execute("SELECT * FROM measurement ORDER BY slot_utc")
+        ]
+
+
+def same(read: object, stored: object) -> bool:
+    """Whether a value is that of the database: numbers to the last bit."""
+    if stored is None:
+        return read is None or read != read or read == ""  # noqa: PLR0124 - NaN, NaT
+    if isinstance(read, datetime):
+        return read.timestamp() == datetime.fromisoformat(str(stored)).timestamp()
+    return bool(read == stored)
+
+
+COMPARED = [name for name in COLUMNS if name not in {"detail", "motion_covariance"}]
+
+
+def test_pandas_reads_from_parquet_what_the_database_holds(
+    slots: SlotTable, tmp_path: Path
+) -> None:
+    pandas = pytest.importorskip("pandas")
+    write_parquet(slots, tmp_path / "a.parquet", "pier-3")
+    table = pandas.read_parquet(tmp_path / "a.parquet")
+    assert str(table["reasons"].dtype) == "category"
+    rows = stored_rows(tmp_path / "state")
+    for name in COMPARED:
+        for read, row in zip(table[name], rows, strict=False):
+            assert same(read, row[name]), name
+
+
+def test_xarray_reads_from_netcdf_what_the_database_holds(slots: SlotTable, tmp_path: Path) -> None:
+    xarray = pytest.importorskip("xarray")
+    write_netcdf(slots, tmp_path / "a.nc", "pier-3")
+    rows = stored_rows(tmp_path / "state")
+    with xarray.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as dataset:
+        assert dataset.attrs["featureType"] == "timeSeries"
+        times = [datetime.fromisoformat(str(row["slot_utc"])).timestamp() for row in rows]
+        assert (dataset["time"].values[:2].astype("datetime64[s]").astype(int) == times).all()
+        for name in COMPARED[1:]:
+            if kind_of_column(name) == "time":
+                continue  # to the nanosecond of a float: see the test of microseconds
+            for read, row in zip(dataset[name].values.tolist(), rows, strict=False):
+                assert same(read, row[name]), name
+
+
+def test_an_arrow_stream_has_units_and_meanings(slots: SlotTable) -> None:
+    stream = io.BytesIO()
+    assert write_arrow(slots, stream, "pier-3") == 3
+    stream.seek(0)
+    table = pa.ipc.open_stream(stream).read_all()
+    assert table.schema.metadata[b"site"] == b"pier-3"
+    field = table.schema.field("x_mm")
+    assert field.metadata[b"unit"] == b"mm"
+    assert field.metadata[b"meaning"].startswith(b"corrected displacement")
+    assert table.schema.field("flag").metadata[b"flag_values"] == b"1 3 4 9"
+    assert table.schema.field("flag").metadata[b"flag_meanings"] == b"good suspect bad missing"
+    assert pa.types.is_dictionary(table.schema.field("reasons").type)
+    assert table["flag"].to_pylist() == [3, 4, 9]
+    assert table["reasons"].to_pylist()[2] == "power_loss"
