@@ -125,4 +125,5 @@ def _write_file(file_format: str, slots: SlotTable, output: Path | None, options
                 return write_arrow(slots, stream, _site_name(options))
         from daemon.reports.netcdf import write_netcdf
 
-        return write_netcdf(slots, temporary, options.config.name)
+        section = options.config.site_section
+        return write_netcdf(slots, temporary, section.name, section.position_deg)

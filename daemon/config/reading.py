@@ -123,6 +123,11 @@ def _contradictions(config: Config) -> list[str]:
             )
     problems += config.simulation.problems(names)
     problems += config.mqtt.problems() + config.influx.problems()
+    place = config.site_section
+    if (place.latitude_deg is None) != (place.longitude_deg is None):
+        problems.append(
+            "site.latitude_deg: needs longitude_deg, and longitude_deg needs latitude_deg"
+        )
     problems += _zone_problems(config.site_section.timezone)
     return problems
 

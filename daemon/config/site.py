@@ -67,6 +67,15 @@ class SiteSection(Section):
 
     name: str = Field(min_length=1)
     timezone: str | None = Field(default=None, min_length=1)
+    latitude_deg: float | None = Field(default=None, ge=-90.0, le=90.0)
+    longitude_deg: float | None = Field(default=None, ge=-180.0, le=180.0)
+
+    @property
+    def position_deg(self) -> tuple[float, float] | None:
+        """Latitude and longitude; None where they are not given."""
+        if self.latitude_deg is None or self.longitude_deg is None:
+            return None
+        return self.latitude_deg, self.longitude_deg
 
 
 class CameraSection(Section):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,8 @@ from daemon.version import VERSION
 
 FLAGS = (Flag.GOOD, Flag.SUSPECT, Flag.BAD, Flag.MISSING)
 TIME_UNITS = "seconds since 1970-01-01 00:00:00 UTC"
-UNITLESS = {"px", "dn", ""}
-"""CF's list of units, UDUNITS, has neither pixels nor grey values: both are plain numbers to it."""
+UNITLESS = {"px", "dn", "dB", ""}
+"""CF's list of units, UDUNITS, has no pixels, grey values and decibels: plain numbers to it."""
 
 COVARIANCE = "motion_covariance"
 _COVARIANCE_SIZE = 21
@@ -31,8 +32,12 @@ _NO_INTEGER, _NO_BYTE = -2147483647, -127
 """What stands for no value, as the NetCDF library itself has it."""
 
 
-def write_netcdf(slots: SlotTable, path: Path, site: str) -> int:
+def write_netcdf(
+    slots: SlotTable, path: Path, site: str, position_deg: tuple[float, float] | None = None
+) -> int:
     """Write a CF `timeSeries`: one station, its slots, flags with their meanings.
+
+    `position_deg` is the site's latitude and longitude, which CF wants of a station.
 
     Gives the number of rows. Raises MissingLibraryError, OSError.
     """
@@ -41,8 +46,10 @@ def write_netcdf(slots: SlotTable, path: Path, site: str) -> int:
 
     count = 0
     with h5netcdf.File(path, "w") as file:
-        _describe(file, site)
-        variables = {name: _variable(file, name, meaning_of(slots, name)) for name in slots.columns}
+        places = _describe(file, site, position_deg)
+        variables = {
+            name: _variable(file, name, meaning_of(slots, name), places) for name in slots.columns
+        }
         for batch in slots.batches:
             part = slice(count, count + len(batch))
             file.resize_dimension("time", part.stop)
@@ -52,25 +59,37 @@ def write_netcdf(slots: SlotTable, path: Path, site: str) -> int:
     return count
 
 
-def _describe(file: Any, site: str) -> None:
+def _describe(file: Any, site: str, position_deg: tuple[float, float] | None) -> str:
+    """Describe the file and the station; give the names of the station's coordinates."""
     import h5py
 
     file.dimensions = {"time": None, "covariance": _COVARIANCE_SIZE}
     file.attrs["Conventions"], file.attrs["featureType"] = "CF-1.11", "timeSeries"
     file.attrs["title"] = f"Displacement of a bridge, {site}"
     file.attrs["source"] = f"dcam {VERSION}"
+    file.attrs["history"] = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} exported by dcam {VERSION}"
     station = file.create_variable("station", (), dtype=h5py.string_dtype())
     station.attrs["cf_role"], station.attrs["long_name"] = "timeseries_id", "site"
     station[...] = site
+    if position_deg is None:
+        return "station"
+    axes = (("lat", "latitude", "degrees_north"), ("lon", "longitude", "degrees_east"))
+    for (name, standard, unit), value in zip(axes, position_deg, strict=True):
+        place = file.create_variable(name, (), dtype=np.float64)
+        place.attrs["standard_name"], place.attrs["units"] = standard, unit
+        place.attrs["long_name"] = f"{standard} of the site"
+        place[...] = value
+    return "lat lon station"
 
 
-def _variable(file: Any, name: str, meaning: column_meanings.Meaning) -> Any:
+def _variable(file: Any, name: str, meaning: column_meanings.Meaning, places: str) -> Any:
     """A variable over the slots, empty; the slots themselves are the coordinate `time`."""
     kind = kind_of_column(name)
     _, key = _split(name)
     if name == "slot_utc":
         variable = _create(file, "time", np.float64)
         variable.attrs["standard_name"], variable.attrs["axis"] = "time", "T"
+        variable.attrs["units_metadata"] = "leap_seconds: none"
     elif name == COVARIANCE:
         variable = _create(file, name, np.float64, ("time", "covariance"), np.nan)
     elif key == "flag":
@@ -88,11 +107,11 @@ def _variable(file: Any, name: str, meaning: column_meanings.Meaning) -> Any:
         variable.attrs["flag_meanings"] = "no yes"
     else:
         variable = _create(file, name, np.float64, fill=np.nan)
-    _annotate(variable, name, meaning)
+    _annotate(variable, name, meaning, places)
     return variable
 
 
-def _annotate(variable: Any, name: str, meaning: column_meanings.Meaning) -> None:
+def _annotate(variable: Any, name: str, meaning: column_meanings.Meaning, places: str) -> None:
     variable.attrs["long_name"] = meaning.text
     kind, (prefix, key) = kind_of_column(name), _split(name)
     if kind == "time":
@@ -100,7 +119,7 @@ def _annotate(variable: Any, name: str, meaning: column_meanings.Meaning) -> Non
     elif kind in {"real", "whole"} and key != "flag":
         variable.attrs["units"] = "1" if meaning.unit in UNITLESS else meaning.unit
     if name != "slot_utc":
-        variable.attrs["coordinates"] = "station"
+        variable.attrs["coordinates"] = places
     if key in {"x_mm", "y_mm", "raw_x_mm", "raw_y_mm"}:
         sigma = key.replace("x_mm", "sigma_x_mm").replace("y_mm", "sigma_y_mm")
         others = [prefix + other for other in ("flag", "reasons", sigma)]

@@ -165,6 +165,16 @@ def test_readings_are_columns_with_their_units(tmp_path: Path) -> None:
         assert file["reading_steel-2"][...].tolist()[2] == 7.0
 
 
+def test_netcdf_says_where_the_station_is(slots: SlotTable, tmp_path: Path) -> None:
+    """CF's checker takes a time series for one only with the place of its station."""
+    write_netcdf(slots, tmp_path / "a.nc", "pier-3", (52.5, 13.4))
+    with h5netcdf.File(tmp_path / "a.nc") as file:
+        assert (file["lat"][...].item(), file["lon"][...].item()) == (52.5, 13.4)
+        assert file["lat"].attrs["units"] == "degrees_north"
+        assert file["x_mm"].attrs["coordinates"] == "lat lon station"
+        assert file["main_gain_db"].attrs["units"] == "1"  # UDUNITS has no dB
+
+
 def stored_rows(state: Path) -> list[dict[str, object]]:
     """The measured rows as SQLite holds them, in the order of their slots."""
     with closing(sqlite3.connect(state / "dcam.db")) as connection:
