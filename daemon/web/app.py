@@ -33,6 +33,7 @@ from daemon.web.answers import Answers, as_json, respond
 from daemon.web.asking import AskedWronglyError, only
 from daemon.web.follower import Follower
 from daemon.web.guard import Guard
+from daemon.web.metrics import CONTENT_TYPE, Metrics
 from daemon.web.overview import Overviews, alarm_fields
 from daemon.web.record import Record
 from daemon.web.series import MOST_BUCKETS, Asked, quantities_of, series, spans
@@ -54,6 +55,7 @@ class Page:
         self.config = settings.site.config
         self.record = Record(settings.state)
         self.follower = Follower(settings.state, settings.cache, self.config.schedule.period_s)
+        self.metrics = Metrics(settings)
         self.overviews = Overviews(settings, self.follower)
         self.answers = Answers()
         self.worker = Worker(settings.site.config_path)
@@ -310,8 +312,12 @@ def _routes(page: Page) -> list[Route | Mount]:
     def calibration_page(request: Request) -> Response:
         return page.html("calibration", number=request.path_params["number"])
 
+    def metrics(_request: Request) -> Response:
+        return Response(page.metrics.text(), media_type=CONTENT_TYPE)
+
     return [
         Route("/", shown("overview")),
+        Route("/metrics", metrics),
         *(Route(f"/{name}", shown(name)) for name in ("days", "calibrations", "events", "aim")),
         Route("/slot/{slot}", slot_page),
         Route("/calibrations/{number:int}", calibration_page),
