@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.stamp-installed
 
 .DELETE_ON_ERROR:
-.PHONY: help venv demo test check bench picture docs clean install uninstall deb
+.PHONY: help venv demo test check bench picture page-pictures docs clean install uninstall deb
 
 help:
 	@echo "make venv    make .venv with all that is needed, and do nothing else: .venv/bin/dcam-ctl"
@@ -49,6 +49,10 @@ picture: $(INSTALLED)
 docs: $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --group docs
 	$(BIN)/python docs/site/build.py out/docs
+
+# What the tests see of the page, as docs/images/page-*.png (needs Debian's chromium).
+page-pictures: $(INSTALLED)
+	DCAM_PICTURES=$(CURDIR)/docs/images $(BIN)/python -m pytest -q tests/daemon/web -k pictures
 
 # Neither works in this folder's environment: each makes one of its own, with its pip.
 install: $(VENV)/.stamp-venv

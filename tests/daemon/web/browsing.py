@@ -1,0 +1,109 @@
+"""A real browser, looked through from outside: Debian's Chromium, driven by Playwright."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from playwright.sync_api import Browser, BrowserContext, Locator, Page, Playwright, expect
+
+CHROMIUM = Path("/usr/bin/chromium")
+PATIENCE_MS = 300_000
+"""Far longer than anything takes on a busy machine: only a failure takes so long."""
+AXE = Path(__file__).parents[3] / "node_modules/axe-core/axe.min.js"
+GRAVE = {"serious", "critical"}
+
+expect.set_options(timeout=PATIENCE_MS)
+
+
+def start_chromium(playwright: Playwright) -> Browser:
+    """Debian's browser. As root, as in a container, it runs without a sandbox of its own."""
+    arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
+    return playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
+
+
+@dataclass
+class Visit:
+    """A page of dcam-web, and what it complained about."""
+
+    url: str
+    context: BrowserContext
+    page: Page
+    complaints: list[str] = field(default_factory=list)
+
+    def go(self, path: str) -> None:
+        """Open a page and wait until every part of it has its content."""
+        self.page.goto(self.url + path)
+        self.settle()
+
+    def settle(self) -> None:
+        """Wait until nothing on the page is loading."""
+        expect(self.page.locator("body [data-state]").first).to_be_attached()
+        expect(self.page.locator("[data-state=loading]")).to_have_count(0)
+        expect(self.page.locator("#figure:not([data-settled])")).to_have_count(0)
+
+    def show(self, since: str, until: str) -> None:
+        """The overview with its figures over a span."""
+        self.page.goto("about:blank")  # the same page with another hash would not be loaded again
+        self.go(f"/#since={since}&until={until}")
+
+    def span(self) -> tuple[str, str]:
+        """What the figures show, from and to, once they have settled there."""
+        self.settle()
+        figure = self.page.locator("#figure[data-settled]")
+        since, _, until = (figure.get_attribute("data-settled") or "").partition(" ")
+        return since, until
+
+    def moved(self, before: tuple[str, str]) -> tuple[str, str]:
+        """The span shown after a gesture: waits until it is another one."""
+        expect(
+            self.page.locator(f"#figure:not([data-settled='{' '.join(before)}'])")
+        ).to_be_attached()
+        return self.span()
+
+    def panel(self, name: str) -> Locator:
+        """A figure."""
+        return self.page.locator(f"[data-panel={name}]")
+
+    def violations(self) -> list[str]:
+        """What axe-core finds of a serious or critical kind."""
+        self.page.evaluate(AXE.read_text(encoding="utf-8"))
+        found: dict[str, Any] = self.page.evaluate(
+            "axe.run({ resultTypes: ['violations'], iframes: false })"
+        )
+        return [
+            f"{rule['id']}: {json.dumps([node['target'] for node in rule['nodes']])}"
+            for rule in found["violations"]
+            if rule["impact"] in GRAVE
+        ]
+
+
+@contextmanager
+def visiting(browser: Browser, url: str, **options: Any) -> Iterator[Visit]:
+    """A fresh window whose complaints, failures and requests elsewhere are collected."""
+    context = browser.new_context(**options)
+    context.set_default_timeout(PATIENCE_MS)
+    page = context.new_page()
+    visit = Visit(url, context, page)
+
+    def requested(address: str) -> None:
+        if urlsplit(address).scheme not in {"data", "blob"} and not address.startswith(url + "/"):
+            visit.complaints.append(f"asked elsewhere: {address}")
+
+    def said(kind: str, text: str) -> None:
+        if kind in {"error", "warning"}:
+            visit.complaints.append(f"{kind}: {text}")
+
+    page.on("request", lambda request: requested(request.url))
+    page.on("console", lambda message: said(message.type, message.text))
+    page.on("pageerror", lambda error: said("error", str(error)))
+    try:
+        yield visit
+    finally:
+        context.close()

@@ -1,0 +1,48 @@
+"""A browser, and dcam-web beside a record of two weeks; each process of the tests has its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, sync_playwright
+
+from benchmarks.page_record import PageRecord, write_record
+from benchmarks.page_server import ROOT, serving
+from daemon.config.reading import load_config
+from tests.daemon.web.browsing import CHROMIUM, start_chromium
+
+SLOTS = 20_000
+"""More than a figure has pixels, so that buckets are drawn."""
+SITE = (ROOT / "benchmarks/small.toml").read_text(encoding="utf-8")
+CONFIG = SITE.replace('name = "small"', 'name = "small"\ntimezone = "Europe/Zurich"')
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """Where the page is, and what its record has."""
+
+    url: str
+    record: PageRecord
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    if not CHROMIUM.exists():
+        pytest.skip("Debian's chromium is missing: apt-get install chromium fonts-dejavu-core")
+    with sync_playwright() as playwright:
+        chromium = start_chromium(playwright)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture(scope="session")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    directory: Path = tmp_path_factory.mktemp("page")
+    config = directory / "dcam.toml"
+    config.write_text(CONFIG)
+    record = write_record(directory / "state", load_config(config).site(), SLOTS)
+    with serving(config, directory / "state") as url:
+        yield Served(url, record)
