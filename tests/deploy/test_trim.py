@@ -33,7 +33,7 @@ assert numpy.allclose(cv2.invert(many)[1] @ many, numpy.eye(90))
 import matplotlib
 matplotlib.use("agg")
 from matplotlib import pyplot
-pyplot.plot([1, 2], label=r"$\\\\sigma_x$ in µm")
+pyplot.plot([1, 2], label=r"$\\sigma_x$ in µm")
 pyplot.legend()
 for kind in ("png", "svg", "pdf"):
     pyplot.savefig(io.BytesIO(), format=kind)
