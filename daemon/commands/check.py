@@ -18,6 +18,7 @@ from daemon.checks.readings import check_readings
 from daemon.checks.record import check_database, check_state
 from daemon.checks.report import check_report
 from daemon.checks.serial_port import check_port_rivals
+from daemon.checks.web import check_web
 from daemon.commands.options import Options, common_options, json_option, pass_options, tz_option
 from daemon.commands.output import print_json, print_table
 from daemon.config.reading import Installation
@@ -72,6 +73,7 @@ def _findings(site: Installation, *, hardware: bool, is_long: bool) -> Iterator[
     yield from check_alarm(config.alarm, site.config_path, config.schedule.period_s)
     yield from check_report(config.report, state)
     yield from _check_reference(config.report)
+    yield from check_web(config.web, site.config_path)
     yield check_backend(config)
     yield from check_readings(config)
     if not hardware:

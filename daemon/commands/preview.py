@@ -17,7 +17,7 @@ from drivers.protocols import Role
 @click.command(
     "preview",
     epilog="\b\nExample:\n  dcam-ctl preview\n"
-    "  ssh -L 8765:localhost:8765 pier-3 dcam-ctl preview    then http://localhost:8765",
+    "  ssh -L 8765:localhost:8765 pier-3 dcam-ctl preview    then http://localhost:8765/aim",
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=8765, show_default=True)
 @click.option(

@@ -39,6 +39,8 @@ _READ = (
     *(*_ALWAYS, "digest"),
     *("targets", "readings", *POINT_KEYS, *ROW_KEYS, *_TEMPERATURES.values()),
 )
+_PART = 0xFFFF_FFFF
+"""Of a digest: so that the sum of many fits into 64 bits."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 _BITS = {reason.value: 1 << place for place, reason in enumerate(Reason)}
 _OTHER_BIT = 1 << 55
@@ -96,7 +98,7 @@ def chart_rows(
         flags,
         _masks(columns["flag"], columns["reasons"]),
         values,
-        sum(digest or 0 for digest in columns.get("digest", ())),
+        sum((digest or 0) & _PART for digest in columns.get("digest", ())),
     )
 
 
@@ -219,10 +221,19 @@ def span_of_calibration(connection: sqlite3.Connection, number: int) -> tuple[st
     return None if first is None else (first, last)
 
 
+def moved_rows(connection: sqlite3.Connection) -> str:
+    """Changes when a row was moved to another slot, or became undated."""
+    query = (
+        f"SELECT count(*), coalesce(sum(digest & {_PART}), 0), (SELECT count(*) FROM undated)"  # noqa: S608 - a number
+        " FROM measurement WHERE redated_from_utc IS NOT NULL"
+    )
+    return " ".join(map(str, fetch(connection, query)[0]))
+
+
 def day_digest(connection: sqlite3.Connection, since: str, until: str) -> tuple[int, int]:
     """How many rows a day has, and their digest as `ChartRows` has it."""
     query = (
-        "SELECT count(*), coalesce(sum(digest), 0) FROM measurement"
+        f"SELECT count(*), coalesce(sum(digest & {_PART}), 0) FROM measurement"  # noqa: S608 - a number
         " WHERE slot_utc >= ? AND slot_utc < ?"
     )
     rows, digest = fetch(connection, query, since, until)[0]

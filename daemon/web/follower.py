@@ -25,6 +25,7 @@ from daemon.store.chart_rows import (
     chart_rows,
     day_digest,
     days_with_rows,
+    moved_rows,
     span_of_calibration,
 )
 from daemon.store.datum import Datums, read_datums
@@ -190,7 +191,7 @@ class Follower(threading.Thread):
                 span = span_of_calibration(connection, int(number))
                 self._add_dirty(*(span or ("", "")))
         known.links = links
-        moved = _moved(connection)
+        moved = moved_rows(connection)
         if moved != known.moved:
             known.moved = moved
             self._distrust(connection)
@@ -226,7 +227,7 @@ class Follower(threading.Thread):
             known.links = {
                 str(number): link.id or 0 for number, link in read_datums(connection).items()
             }
-            known.moved = _moved(connection)
+            known.moved = moved_rows(connection)
             return
         query = "SELECT DISTINCT substr(slot_utc, 1, 10) FROM measurement WHERE id > ?"
         for (day,) in fetch(connection, query, known.last_id):
@@ -315,14 +316,6 @@ def give_back_memory() -> None:
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:  # glibc's own
         trim(0)
-
-
-def _moved(connection: sqlite3.Connection) -> str:
-    query = (
-        "SELECT count(*), coalesce(sum(digest), 0), (SELECT count(*) FROM undated)"
-        " FROM measurement WHERE redated_from_utc IS NOT NULL"
-    )
-    return " ".join(map(str, fetch(connection, query)[0]))
 
 
 def _frame_s(connection: sqlite3.Connection, day: int) -> int:
