@@ -23,7 +23,7 @@ from scipy.special import logsumexp
 from core.analysis.binning import HOUR_S, bins_of
 from core.analysis.noise import DAY_S, Gls, NoiseFit, Whitening, fit_noise, gls
 from core.analysis.regression import Interval, daily, freedom, independent, mixed
-from core.arrays import FloatArray
+from core.arrays import FloatArray, IntArray
 
 MEMORIES_DAYS = ((0.1, 2.0), (2.0, 30.0))
 """Bounds of the noise's memories."""
@@ -36,7 +36,7 @@ _SIZE_PRIOR = 3.0
 purpose: it only makes the laws comparable."""
 _CODE_EXPONENT = 0.3
 """Of EN 1992-1-1 (B.7)."""
-_POINTS = {1: 101, 2: 31}
+_POINTS = {1: 61, 2: 25}
 """Of the grid along each shape parameter, by their number."""
 _ZOOMS = 5
 """How often the grid closes in; most often it stands still before."""
@@ -265,7 +265,6 @@ def _tried(law: Law, beside: _Beside) -> list[_Tried]:
     """The shapes of a law that matter, on a grid that closes in on them."""
     parameters = SHAPES[law]
     low, high = np.zeros(len(parameters)), np.ones(len(parameters))
-    found: list[_Tried] = []
     for _ in range(_ZOOMS):
         axes = list(starmap(_middles, zip(low, high, [_POINTS[len(low)]] * len(low), strict=True)))
         places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low))
@@ -273,18 +272,17 @@ def _tried(law: Law, beside: _Beside) -> list[_Tried]:
         shapes = np.column_stack(
             [one.at(place) for one, place in zip(parameters, places.T, strict=True)]
         )
-        found = _evidences(law, shapes, np.log(cell), beside)
-        logs = np.array([one.log_likelihood for one in found])
-        likely = places[logs > logs.max() - _UNLIKELY]
+        found = _evidences(law, shapes, beside)
+        likely = found.log_likelihood > found.log_likelihood.max() - _UNLIKELY
         step = (high - low) / _POINTS[len(low)]
         closer = (
-            np.maximum(likely.min(axis=0) - step, 0.0),
-            np.minimum(likely.max(axis=0) + step, 1),
+            np.maximum(places[likely].min(axis=0) - step, 0.0),
+            np.minimum(places[likely].max(axis=0) + step, 1.0),
         )
         if np.prod(closer[1] - closer[0]) > _STILL * np.prod(high - low):
             break
         low, high = closer
-    return [one for one in found if one.log_likelihood > logs.max() - _UNLIKELY]
+    return found.tried(law, shapes, np.flatnonzero(likely), float(np.log(cell)))
 
 
 _STILL = 0.5
@@ -295,45 +293,82 @@ def _middles(low: float, high: float, number: int) -> FloatArray:
     return low + (np.arange(number) + 0.5) * (high - low) / number
 
 
-def _evidences(law: Law, shapes: FloatArray, log_cell: float, beside: _Beside) -> list[_Tried]:
-    """Each shape (k, parameters) beside the design."""
-    base, freedom_of_all = beside.base, len(beside.days) - len(beside.base.coefficients)
-    prior = beside.variance / (_SIZE_PRIOR * float(np.ptp(beside.level_mm))) ** 2
-    ends = [curves(law, beside.days[-1:], shape)[0] for shape in shapes]
-    columns = [
-        curves(law, beside.days, shape) / end for shape, end in zip(shapes, ends, strict=True)
-    ]
-    q = columns[0].shape[1]
-    solved = beside.whitening.solve(np.hstack(columns)).reshape(len(beside.days), -1, q)
-    found = []
-    for number, (shape, end, curve) in enumerate(zip(shapes, ends, columns, strict=True)):
-        shared = base.weighted_design.T @ curve * base.variance_mm2
-        projections = base.covariance @ shared / base.variance_mm2
-        information = curve.T @ solved[:, number] - shared.T @ projections
-        score = curve.T @ base.whitened * base.variance_mm2
-        inverse = np.linalg.inv(information + 1e-9 * np.trace(information) * np.eye(q))
-        size_mm = inverse @ score
-        residual = max(beside.total - float(score @ size_mm), np.finfo(float).tiny)
-        with_prior = information + prior * np.eye(q)
-        left = max(beside.total - float(score @ np.linalg.solve(with_prior, score)), residual)
-        log_evidence = -0.5 * freedom_of_all * np.log(left) - 0.5 * np.log(
-            np.linalg.det(with_prior / prior)
-        )
-        found.append(
+@dataclass(frozen=True, slots=True)
+class _Evidences:
+    """Many shapes (k,) of one law."""
+
+    columns: FloatArray
+    """(n, k, curves)."""
+    ends: FloatArray
+    """(k, curves)."""
+    size_mm: FloatArray
+    """(k, curves)."""
+    inverse: FloatArray
+    """(k, curves, curves)."""
+    projection: FloatArray
+    """(k, curves)."""
+    residual: FloatArray
+    """(k,)."""
+    log_likelihood: FloatArray
+    """(k,)."""
+    log_evidence: FloatArray
+    """(k,) but for the prior of the shape."""
+
+    def tried(
+        self, law: Law, shapes: FloatArray, which: IntArray, log_prior: float
+    ) -> list[_Tried]:
+        """Some of them, each by itself."""
+        return [
             _Tried(
                 law,
-                shape,
-                curve,
-                end,
-                size_mm,
-                inverse,
-                projections[0],
-                residual,
-                -0.5 * freedom_of_all * float(np.log(residual)),
-                float(log_evidence + log_cell),
+                shapes[k],
+                self.columns[:, k],
+                self.ends[k],
+                self.size_mm[k],
+                self.inverse[k],
+                self.projection[k],
+                float(self.residual[k]),
+                float(self.log_likelihood[k]),
+                float(self.log_evidence[k] + log_prior),
             )
-        )
-    return found
+            for k in which
+        ]
+
+
+def _evidences(law: Law, shapes: FloatArray, beside: _Beside) -> _Evidences:
+    """Each shape (k, parameters) beside the design."""
+    base, n = beside.base, len(beside.days)
+    degrees = n - len(base.coefficients)
+    prior = beside.variance / (_SIZE_PRIOR * float(np.ptp(beside.level_mm))) ** 2
+    ends = np.array([curves(law, beside.days[-1:], shape)[0] for shape in shapes])
+    columns = np.array([curves(law, beside.days, shape) for shape in shapes]) / ends[:, None]
+    columns = columns.transpose(1, 0, 2)
+    k, q = ends.shape
+    solved = beside.whitening.solve(columns.reshape(n, k * q)).reshape(n, k, q)
+    shared = np.einsum("np,nkq->kpq", base.weighted_design, columns) * base.variance_mm2
+    projections = base.covariance / base.variance_mm2 @ shared
+    information = np.einsum("nkq,nkr->kqr", columns, solved)
+    information -= np.einsum("kpq,kpr->kqr", shared, projections)
+    score = np.einsum("nkq,n->kq", columns, base.whitened) * base.variance_mm2
+    trace = np.trace(information, axis1=1, axis2=2)
+    inverse = np.linalg.inv(information + 1e-9 * trace[:, None, None] * np.eye(q))
+    size_mm = np.einsum("kqr,kr->kq", inverse, score)
+    tiny = np.finfo(float).tiny
+    residual = np.maximum(beside.total - np.einsum("kq,kq->k", score, size_mm), tiny)
+    with_prior = information + prior * np.eye(q)
+    shrunk = np.einsum("kqr,kr->kq", np.linalg.inv(with_prior), score)
+    left = np.maximum(beside.total - np.einsum("kq,kq->k", score, shrunk), residual)
+    _, log_widths = np.linalg.slogdet(with_prior / prior)
+    return _Evidences(
+        columns,
+        ends,
+        size_mm,
+        inverse,
+        projections[:, 0],
+        residual,
+        -0.5 * degrees * np.log(residual),
+        -0.5 * degrees * np.log(left) - 0.5 * log_widths,
+    )
 
 
 def _law_fit(law: Law, every: list[_Tried], weights: FloatArray, beside: _Beside) -> LawFit:
