@@ -72,14 +72,15 @@ def study_coverage(count: int) -> Iterator[str]:
         )
         made = make(bridge, 2000 + seed)
         hours = hours_of(made.times_s, made.y_mm, made.deck_c[:, None])
-        thermal = temperature_response(hours, (0,))
+        event_s = BEGIN_S + 60.0 * DAY_S
+        known_step = (hours.times_s >= event_s).astype(np.float64)[:, None]
+        thermal = temperature_response(hours, (0,), beside=known_step)
         if thermal is None:
             continue
         (response,) = thermal.responses
         known = thermal.known
         times_s, values_mm = hours.times_s[known], hours.mean_mm[known]
         warm = np.column_stack([thermal.columns, thermal.by_lag])[known]
-        event_s = BEGIN_S + 60.0 * DAY_S
         step = (times_s >= event_s).astype(np.float64)[:, None]
         trend = trend_of(times_s, values_mm, np.column_stack([warm, step])).mm_per_year
         near = np.abs(times_s - event_s) < 30.0 * DAY_S

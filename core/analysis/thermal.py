@@ -15,7 +15,15 @@ from scipy.signal import lfilter
 
 from core.analysis.binning import FINE_S, HOUR_S, Hours
 from core.analysis.noise import DAY_S, NoiseFit, gls
-from core.analysis.regression import Fit, Interval, Mixture, hinges, robust_fit, try_columns
+from core.analysis.regression import (
+    Fit,
+    Interval,
+    Mixture,
+    hinges,
+    independent,
+    robust_fit,
+    try_columns,
+)
 from core.arrays import BoolArray, FloatArray
 
 BEND_DAYS = 60.0
@@ -101,17 +109,21 @@ class _Reading:
 
 
 def temperature_response(
-    hours: Hours, channels: tuple[int, ...], confidence: float = 0.95
+    hours: Hours,
+    channels: tuple[int, ...],
+    confidence: float = 0.95,
+    beside: FloatArray | None = None,
 ) -> Thermal | None:
     """Lag and size of the displacement's response to readings; None if none of them is known.
 
+    Columns `beside` (hours, k), such as known steps, are fitted with them.
     A reading that is known in less than half of the hours, or never changes, is passed over.
     """
     usable, known = _usable(hours, channels)
     if not usable:
         return None
     times_days = hours.times_s[known] / DAY_S
-    line = hinges(times_days, BEND_DAYS)
+    line = _slow(times_days, None if beside is None else beside[known])
     values_mm = hours.mean_mm[known]
     readings = [_reading(hours, channel) for channel in usable]
     lags = [(Lag.SHIFT, 0.0)] * len(usable)
@@ -123,7 +135,13 @@ def temperature_response(
         lags = _better_lags(fit, readings, hours.times_s[known], columns, lags)
         if all(a[0] is b[0] and abs(a[1] - b[1]) < 0.02 for a, b in zip(before, lags, strict=True)):
             break
-    return _judged(hours, known, usable, readings, lags, confidence)
+    return _judged(hours, known, line, usable, readings, lags, confidence)
+
+
+def _slow(times_days: FloatArray, beside: FloatArray | None) -> FloatArray:
+    """(n, p) what lies under the response: a slowly bending line, and columns beside it."""
+    line = hinges(times_days, BEND_DAYS)
+    return line if beside is None else independent(np.column_stack([line, beside]))
 
 
 def _usable(hours: Hours, channels: tuple[int, ...]) -> tuple[list[int], BoolArray]:
@@ -218,6 +236,7 @@ def _peak(places: FloatArray, gains: FloatArray) -> tuple[float, float]:
 def _judged(
     hours: Hours,
     known: BoolArray,
+    line: FloatArray,
     usable: list[int],
     readings: list[_Reading],
     lags: list[tuple[Lag, float]],
@@ -226,7 +245,6 @@ def _judged(
     """The last Gauss-Newton steps, with the lags as unknowns among the others."""
     times_s = hours.times_s[known]
     times_days, values_mm = times_s / DAY_S, hours.mean_mm[known]
-    line = hinges(times_days, BEND_DAYS)
     count = len(usable)
     fit = robust_fit(
         times_days, np.column_stack([line, _columns(readings, times_s, lags)]), values_mm

@@ -104,12 +104,15 @@ class _Analyst:
 
     def study(self) -> Study:
         """All parts."""
-        thermal = self._thermal()
+        confidence = self._asked.confidence
+        thermal = self._thermal(np.empty((len(self._hours), 0)))
+        steps = self._steps()
+        if thermal and steps.steps:  # beside which the temperature is found better, and they by it
+            at_s = np.array([step.time_s for step in steps.steps])
+            thermal = self._thermal((self._hours.times_s[:, None] >= at_s).astype(np.float64))
+            steps = self._steps()
         times_s, values_mm = self._hours.times_s[self._used], self._hours.mean_mm[self._used]
         warm = self._warm[self._used]
-        confidence = self._asked.confidence
-        aside = np.column_stack([warm, self._settling(times_s)])
-        steps = find_steps(times_s, values_mm, aside, confidence=confidence)
         beside = np.column_stack([warm, steps.columns])
         return Study(
             self._record.point,
@@ -127,9 +130,16 @@ class _Analyst:
             tuple(self._notes),
         )
 
-    def _thermal(self) -> Thermal | None:
+    def _steps(self) -> Steps:
+        times_s, values_mm = self._hours.times_s[self._used], self._hours.mean_mm[self._used]
+        beside = np.column_stack([self._warm[self._used], self._settling(times_s)])
+        return find_steps(times_s, values_mm, beside, confidence=self._asked.confidence)
+
+    def _thermal(self, beside: FloatArray) -> Thermal | None:
         names = [channel.name for channel in self._record.channels]
-        found = temperature_response(self._hours, tuple(range(len(names))), self._asked.confidence)
+        found = temperature_response(
+            self._hours, tuple(range(len(names))), self._asked.confidence, beside
+        )
         if found is None:
             self._notes.append(f"temperature: {', '.join(names)}: no or constant readings")
             return None
