@@ -11,6 +11,7 @@ import numpy as np
 
 from core.results import Flag
 from daemon.reports.slot_table import SlotTable
+from daemon.store.ledger import ALL_POINTS, MAIN_POINT
 
 DECIMALS = {"mm": 4, "c": 2}
 """A tenth of a micrometre, a hundredth of a degree, by the unit that a name ends in."""
@@ -18,6 +19,8 @@ _MOST_DIGITS = 6
 """Of readings, whose units are the site's."""
 
 _VALUES = ("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm")
+MAIN_POINTS = {MAIN_POINT, ALL_POINTS}
+"""What the ledger calls the main target."""
 _WORDS = {int(flag): flag.name.lower() for flag in Flag}
 
 
@@ -42,7 +45,10 @@ def write_plain(slots: SlotTable, output: TextIO, zone: tzinfo, *, comma: bool =
     for batch in slots.batches:
         times, offsets = _local(batch.values["slot_utc"], zone)
         values = [_cells(name, batch.values[name], comma=comma) for name in numbers]
-        quality = [_WORDS[flag] for flag in batch.values["flag"]]
+        quality = [
+            "excluded" if names and MAIN_POINTS & set(names.split("+")) else _WORDS[flag]
+            for flag, names in zip(batch.values["flag"], batch.values["excluded"], strict=True)
+        ]
         reasons = [why or "" for why in batch.values["reasons"]]
         columns = [times, offsets, *values[:4], quality, reasons, *values[4:]]
         lines.writerows(zip(*columns, strict=True))

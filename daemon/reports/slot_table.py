@@ -14,6 +14,7 @@ from daemon.store.checksum import DIGEST
 from daemon.store.columns import BATCH, Columns, Tell, read_columns, target_roles
 from daemon.store.convert import RESULT_COLUMNS
 from daemon.store.database import Store
+from daemon.store.ledger import LedgerEntry, excluded_points, read_ledger
 from daemon.store.records import GapRecord
 from daemon.store.runs import next_second, run_between, slot_at, unix_s
 from daemon.store.schema import Kind, MeasurementRow, kind_of
@@ -26,6 +27,8 @@ from daemon.store.targets import (
 )
 from daemon.times import slot_text
 
+EXCLUDED = "excluded"
+"""The points whose values of a slot the quality ledger leaves out."""
 DETAIL = "detail"
 """The last column: what is known of a gap beyond its cause."""
 
@@ -41,8 +44,8 @@ EXTRA_COLUMNS = tuple(
 )
 """What `export` adds to the columns of `reprocess`, in the order of the database."""
 
-COLUMNS = (*RESULT_COLUMNS, *EXTRA_COLUMNS, DETAIL)
-"""Of a site without further targets and sensors; theirs come before the last one."""
+COLUMNS = (*RESULT_COLUMNS, *EXTRA_COLUMNS, EXCLUDED, DETAIL)
+"""Of a site without further targets and sensors; theirs come before the last two."""
 
 Missed = tuple[str, str, str]
 """A slot in a gap: slot, cause, detail."""
@@ -72,8 +75,10 @@ def slot_table(store: Store, since: datetime, until: datetime, tell: Tell) -> Sl
     columns = (column for name in targets for column in columns_of_target(name, TARGET_COLUMNS))
     sensors = sensors_within(store.path, since, until)
     said = (*(sensor.column for sensor in sensors), CAUSES) if sensors else ()
-    batches = _batches(store, since, until, tell, targets, sensors)
-    return SlotTable((*COLUMNS[:-1], *columns, *said, DETAIL), batches, sensors, roles)
+    batches = _judged(
+        _batches(store, since, until, tell, targets, sensors), read_ledger(store.path)
+    )
+    return SlotTable((*COLUMNS[:-2], *columns, *said, EXCLUDED, DETAIL), batches, sensors, roles)
 
 
 def _batches(
@@ -98,13 +103,20 @@ def _batches(
         yield _joined(Columns({"slot_utc": ()}), slice(0), taken, targets, sensors)
 
 
+def _judged(batches: Iterator[Columns], entries: Sequence[LedgerEntry]) -> Iterator[Columns]:
+    """Tables with what the quality ledger leaves out of each slot."""
+    for batch in batches:
+        excluded = excluded_points(batch.values["slot_utc"], entries)
+        yield Columns({**batch.values, EXCLUDED: excluded})
+
+
 def kind_of_column(name: str) -> Kind:
     """What a column of the table holds."""
     if is_reading(name):
         return "real"
     target = None if name in COLUMNS else target_of_column(name)
     key = name if target is None else target[1]
-    return "text" if key in {CAUSES, DETAIL, "role"} else kind_of(key)
+    return "text" if key in {CAUSES, EXCLUDED, DETAIL, "role"} else kind_of(key)
 
 
 class _MissedSlots:

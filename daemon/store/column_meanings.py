@@ -94,6 +94,9 @@ MEANINGS: dict[str, Meaning] = {
 
 OF_EXPORTS = {
     CAUSES: Meaning("", "why readings have no value: name and cause, joined by ;"),
+    "excluded": Meaning(
+        "", "points whose value the quality ledger leaves out, joined by +, or all; only in exports"
+    ),
     "detail": Meaning("", "of a slot in a gap, what is known beyond its cause; only in exports"),
 }
 """Columns that the database does not have."""

@@ -26,6 +26,7 @@ from daemon.store.sqlite import connect_readonly, said_plainly
 from daemon.times import utc_array
 
 MAIN_POINT = "main"
+ALL_POINTS = "all"
 
 
 class LedgerKind(StrEnum):
@@ -151,6 +152,18 @@ def is_excluded(slots: Sequence[str | None], spans: Iterable[Span]) -> BoolArray
         begin, end = (np.datetime64(when.replace(tzinfo=None), "us") for when in (since, until))
         within |= (times >= begin) & (times < end)
     return within
+
+
+def excluded_points(slots: Sequence[str], entries: Sequence[LedgerEntry]) -> list[str | None]:
+    """Of each slot the points whose values are left out, joined by +; `all` is every one."""
+    found = [""] * len(slots)
+    for entry in in_force(entries):
+        if entry.kind is LedgerKind.EXCLUDE and entry.since_utc and entry.until_utc:
+            within = is_excluded(slots, [(entry.since_utc, entry.until_utc)])
+            for place in np.flatnonzero(within).tolist():
+                names = {*found[place].split("+"), entry.point or ALL_POINTS} - {""}
+                found[place] = ALL_POINTS if ALL_POINTS in names else "+".join(sorted(names))
+    return [names or None for names in found]
 
 
 def _entry(row: dict[str, Any]) -> LedgerEntry:

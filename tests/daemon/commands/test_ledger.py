@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 from pathlib import Path
 
 import pytest
 
 from daemon.store.database import open_store
+from daemon.times import slot_text
 from tests.daemon.commands.conftest import Ctl, Ran
+from tests.daemon.store.examples import full_record, slot
 
 SPAN = ("--since", "2026-05-15T08:00Z", "--until", "2026-05-15T17:00Z")
 
@@ -80,3 +84,17 @@ def test_a_point_that_the_config_does_not_have_is_refused(ctl: Ctl, bench: Path,
     assert ran.code == 2
     assert "--point abutmend: the config has main" in ran.err
     assert ctl(*config, "ledger", "exclude", *SPAN, "--point", "main", "why").code == 0
+
+
+def test_exports_mark_what_is_excluded_and_keep_its_values(ctl: Ctl, state: Path, ledger) -> None:
+    with open_store(state) as store:
+        for number in range(3):
+            store.add_measurement(full_record(slot(number)))
+    since, until = (slot_text(slot(number)) for number in (1, 2))
+    assert ledger("exclude", "--since", since, "--until", until, "paint").code == 0
+    whole = list(csv.DictReader(io.StringIO(ctl("--state", state, "export").out)))
+    assert [row["excluded"] for row in whole] == ["", "all", ""]
+    assert all(row["x_mm"] for row in whole)
+    plain = ctl("--state", state, "export", "--format", "csv-plain").out
+    quality = [row["quality"] for row in csv.DictReader(io.StringIO(plain))]
+    assert [word == "excluded" for word in quality] == [False, True, False]

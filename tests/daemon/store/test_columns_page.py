@@ -38,7 +38,7 @@ def _unit_kind_text(name: str) -> tuple[str, str, str]:
 def test_every_column_of_the_schema_has_a_meaning_and_no_other() -> None:
     table = [column.name for column in MeasurementRow.__table__.columns]
     assert list(column_meanings.MEANINGS) == table
-    assert set(COLUMNS) == {*table, "detail"} - {"id", "digest", "targets", "readings"}
+    assert set(COLUMNS) == {*table, "excluded", "detail"} - {"id", "digest", "targets", "readings"}
 
 
 def test_the_page_lists_every_column_of_a_further_target_in_its_order() -> None:

@@ -136,7 +136,7 @@ def test_slots_have_the_agreed_columns_first_and_then_everything_else(tmp_path: 
     assert [name for name, value in row.items() if not value] == [
         # The closure of a fixed target is the sum of what there is: it has no image's share here.
         *("abutment_reasons", "abutment_sigma_image_x_mm", "abutment_sigma_image_y_mm"),
-        *("abutment_cov_image_xy_mm2", "reading_air", "detail"),
+        *("abutment_cov_image_xy_mm2", "reading_air", "excluded", "detail"),
     ]
     assert (bad["x_mm"], bad["calibration_id"], bad["skew_s"]) == ("", "", "")
 

@@ -155,7 +155,7 @@ def test_readings_are_columns_with_their_units(tmp_path: Path) -> None:
     }
     found = pq.read_table(tmp_path / "a.parquet").to_pydict()
     assert {name: found[name] for name in columns} == columns
-    assert list(found)[-5:] == [*columns, "detail"]
+    assert list(found)[-6:] == [*columns, "excluded", "detail"]
     (head, *lines) = csv.reader(text.getvalue().splitlines())
     at = head.index("reading_air")
     assert [line[at] for line in lines] == ["", "2.5", "", ""]
