@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta, tzinfo
 from pathlib import Path
 
 from daemon.config.reading import Installation
 from daemon.config.report import DIRECTORY
 from daemon.durable import write_durable
-from daemon.errors import DatabaseMissingError
+from daemon.errors import DatabaseMissingError, WorkFailedError
 from daemon.reports.page import ReportPlan, make_report, write_html
 from daemon.reports.pdf import write_pdf
 from daemon.reports.statement import TRIALS
@@ -64,7 +65,13 @@ def write_last_month(
             reference or site.config.report.reference,
             trials=TRIALS if trials is None else trials,
         )
-        report = make_report(site, store, plan)
+        try:
+            report = make_report(site, store, plan)
+        except WorkFailedError as error:
+            if plan.reference is None:
+                raise
+            yield f"{name} is written without a comparison: {error}"
+            report = make_report(site, store, replace(plan, reference=None))
     directory.mkdir(mode=0o750, exist_ok=True)
     write_durable(printed, write_pdf(report.document))
     write_durable(page, write_html(report.document).encode())

@@ -256,6 +256,8 @@ def reference(beside: Beside | None) -> Iterator[Block]:
         "difference over its expanded uncertainty (k = 2; ISO 13528, EA-4/02): up to 1 the two "
         "agree."
     )
+    if not any(one.times for one in beside.comparisons):
+        yield Text("No time of the reference lies in this span.")
     for one in beside.comparisons:
         if one.times:
             yield Bullets(tuple(sentences(one)))

@@ -280,6 +280,25 @@ def test_a_month_is_written_once_and_old_ones_go(
     assert page.exists()
 
 
+def test_a_month_is_written_though_its_reference_cannot_be_read(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site.config.write_text(
+        SIMULATED.replace("[simulation]", "[report]\nreference = 'survey.csv'\n\n[simulation]")
+    )
+    monkeypatch.setattr("daemon.reports.monthly.datetime", April)
+    ran = site.ctl("report", "--monthly")
+    assert ran.code == 0, ran.err
+    assert "survey.csv: No such file" in ran.err
+    page = site.state / "reports" / "2026-03.html"
+    assert "Comparison with a reference" not in page.read_text(encoding="utf-8")
+    page.unlink()
+    survey = "time,y_mm,sigma_mm\n2026-02-01T00:00:00Z,1,1\n"
+    (site.config.parent / "survey.csv").write_text(survey)
+    assert site.ctl("report", "--monthly").code == 0
+    assert "No time of the reference lies in this span." in page.read_text(encoding="utf-8")
+
+
 class April(datetime):
     """A clock that stands in April."""
 
