@@ -104,6 +104,16 @@ def trimmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
             copy(
                 [file for file in files if file.is_file() and ".." not in file.parts], source, site
             )
+        own = distribution("dcam")
+        copy(
+            [
+                Path(str(own.locate_file(file)))
+                for file in own.files or []
+                if "dist-info" in str(file)
+            ],
+            Path(str(own.locate_file(""))),
+            site,
+        )
         for ours in ("core", "drivers", "daemon", "migrations"):
             copy([file for file in (ROOT / ours).rglob("*") if file.is_file()], ROOT, site)
         subprocess.run(
