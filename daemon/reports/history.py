@@ -18,6 +18,7 @@ from daemon.reports.figure import GapSpan
 from daemon.reports.series import BINS, CAMERAS, Channel, Envelope, Points, Series
 from daemon.store.columns import Columns, Tell, read_columns, target_roles
 from daemon.store.database import Store
+from daemon.store.ledger import Span, excluded_spans, is_excluded, read_ledger
 from daemon.store.records import Coverage, GapRecord
 from daemon.store.sensors import Sensor, sensor_columns, sensors_within
 from daemon.store.targets import columns_of_target, values_of_targets
@@ -102,6 +103,8 @@ class History:
     gaps: tuple[GapRecord, ...]
     series: Series
     months: tuple[Month, ...]
+    months_without: tuple[Month, ...]
+    """Without what the quality ledger excludes; empty where it excludes none of these rows."""
     good: GoodRows | None
     """None without any."""
     closures: tuple[ClosureMonth, ...]
@@ -133,7 +136,8 @@ def read_history(
     channels = (*CAMERAS, *(Channel(sensor.name, sensor.unit) for sensor in sensors))
     names = drawn_targets, channels
     drawn = Points(*names) if fits else Envelope(since_utc, until_utc, *names)
-    summary, said = Summary(roles), Readings(channels)
+    summary = Summary(roles, excluded_spans(read_ledger(store.path)))
+    said = Readings(channels)
     for rows in read_columns(store.path, since_utc, until_utc, tell):
         readings = _readings(rows, sensors)
         drawn.add(rows, readings)
@@ -146,6 +150,7 @@ def read_history(
         gaps=tuple(store.gaps(since_utc, until_utc)),
         series=drawn.series(),
         months=summary.months(),
+        months_without=summary.months_without(),
         good=summary.good(),
         closures=summary.closures(),
         targets=summary.targets(),
@@ -182,8 +187,9 @@ def _span(
 class Summary:
     """Figures of rows as they come: 48 bytes of each good one are kept."""
 
-    def __init__(self, roles: Mapping[str, str]) -> None:
-        self._roles = roles
+    def __init__(self, roles: Mapping[str, str], excluded: Sequence[Span] = ()) -> None:
+        self._roles, self._excluded = roles, excluded
+        self._left_out: dict[str, array[int]] = {}
         self._named = Counter[str]()
         self._targets = {name: array("d") for name in roles}
         self._closures: dict[str, array[float]] = {}
@@ -205,7 +211,10 @@ class Summary:
         closures = rows.numbers(*(f"closure_{name}" for name in _VALUES))
         closed = np.isfinite(closures[:, 0])
         months = np.array([slot[:7] for slot in rows.values["slot_utc"]])
+        left_out = is_excluded(rows.values["slot_utc"], self._excluded)
         for name in dict.fromkeys(months.tolist()):
+            marks = left_out[good & (months == name)].astype(np.int8)
+            self._left_out.setdefault(name, array("b")).frombytes(marks.tobytes())
             for kept, chosen in (
                 (self._months, values[good & (months == name)]),
                 (self._closures, closures[closed & (months == name)]),
@@ -226,6 +235,16 @@ class Summary:
     def months(self) -> tuple[Month, ...]:
         """The good rows by month."""
         months = {name: np.array(kept).reshape(-1, 4) for name, kept in self._months.items()}
+        return tuple(_month(name, values) for name, values in months.items() if len(values))
+
+    def months_without(self) -> tuple[Month, ...]:
+        """The good rows by month, without those excluded; empty where none is."""
+        if not any(any(marks) for marks in self._left_out.values()):
+            return ()
+        months = {
+            name: np.array(kept).reshape(-1, 4)[np.array(self._left_out[name]) == 0]
+            for name, kept in self._months.items()
+        }
         return tuple(_month(name, values) for name, values in months.items() if len(values))
 
     def good(self) -> GoodRows | None:

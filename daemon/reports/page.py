@@ -22,6 +22,7 @@ from daemon.status.facts import collect_facts
 from daemon.status.verdict import judge
 from daemon.store.columns import Tell
 from daemon.store.database import Store
+from daemon.store.ledger import read_ledger
 
 _TEMPLATE = Path(__file__).with_name("document.html.j2")
 
@@ -119,6 +120,7 @@ def _blocks(site: Installation, store: Store, plan: ReportPlan, read: _Read) -> 
     yield from sections.site_and_method(config)
     yield from sections.completeness(history, words)
     yield from sections.reference(beside)
+    yield from sections.ledger(read_ledger(store.path), history, words)
     yield from sections.alarms(site.state_directory, history, words)
     found = [(store.calibration(number), store.datum(number)) for number in history.calibrations]
     yield from sections.calibrations(found, config.config_hash(), words)

@@ -20,6 +20,7 @@ from daemon.reports.history import History, Month, gap_spans
 from daemon.status.coverage import coverage_text
 from daemon.status.item import Item, worst
 from daemon.store.datum_fields import offset_text
+from daemon.store.ledger import LedgerEntry, in_force
 from daemon.store.records import CalibrationRecord, DatumRecord, EventRecord
 from daemon.text import span_text
 from daemon.version import VERSION
@@ -261,6 +262,39 @@ def reference(beside: Beside | None) -> Iterator[Block]:
     for one in beside.comparisons:
         if one.times:
             yield Bullets(tuple(sentences(one)))
+
+
+def ledger(entries: Sequence[LedgerEntry], history: History, words: Words) -> Iterator[Block]:
+    """What people say of spans, and the months without what they exclude."""
+    found = [
+        one
+        for one in in_force(entries)
+        if one.since_utc is not None
+        and one.until_utc is not None
+        and one.since_utc < history.until_utc
+        and one.until_utc > history.since_utc
+    ]
+    if not found:
+        return
+    yield Heading("Quality ledger")
+    yield table(
+        ("from", "until", "what", "point", "author", "text"),
+        [
+            (
+                words.when(one.since_utc) if one.since_utc else "",
+                words.when(one.until_utc) if one.until_utc else "",
+                *(one.kind.value, one.point or "all", one.author, words.shown(one.text)),
+            )
+            for one in found
+        ],
+    )
+    if history.months_without:
+        yield Text(
+            "All other figures of this report are with the excluded spans. Good rows of the main "
+            "target by month without them, mm:"
+        )
+        rows = [(one.name, one.rows, *_month_cells(one)) for one in history.months_without]
+        yield table(("month", "rows", *_OF_MONTH), rows, range(1, 6))
 
 
 _OF_ALARMS = ("raised", "changed", "cleared", "contradicted", "acknowledged", "silenced")

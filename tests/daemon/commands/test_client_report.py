@@ -23,6 +23,7 @@ from daemon.reports.monthly import last_month
 from daemon.reports.statement import Statement, make_statement
 from daemon.status.item import Level
 from daemon.store.database import open_store, open_store_readonly
+from daemon.store.ledger import LedgerEntry, LedgerKind
 from daemon.store.records import GapCause
 from daemon.zones import find_zone
 from tests.daemon.commands.conftest import DARK, FURTHER, RUNNING, SIMULATED, START, Ctl, Site
@@ -241,6 +242,21 @@ def test_the_alarms_of_the_span_are_told(site: Site, tmp_path: Path) -> None:
         ["2026-03-01T01:03:00+01:00", "deck-level", "raised", "critical", text, ""],
         ["2026-03-01T01:05:00+01:00", "deck-level", "acknowledged", "critical", text, "Ann"],
     ]
+
+
+def test_months_are_given_with_and_without_what_the_ledger_excludes(
+    site: Site, tmp_path: Path
+) -> None:
+    entry = LedgerEntry(
+        LedgerKind.EXCLUDE, "Ann", START, "<i>crane</i>", START, START + timedelta(minutes=4)
+    )
+    site.write(lambda store: store.add_ledger_entry(entry) and None)
+    page = tmp_path / "a.html"
+    assert site.ctl("report", "--output", page).code == 0
+    cells = Cells(page.read_text(encoding="utf-8"))
+    assert [row[1] for row in cells.rows if row[:1] == ["2026-03"]] == ["10", "6"]
+    said = next(row for row in cells.rows if "Ann" in row)
+    assert said[2:] == ["exclude", "all", "Ann", "<i>crane</i>"]
 
 
 def test_a_report_needs_a_name_that_says_what_it_is(site: Site, tmp_path: Path) -> None:
