@@ -18,6 +18,7 @@ help:
 	@echo "make check   lint, types, import contracts"
 	@echo "make bench   measure time and memory: docs/benchmarks.md"
 	@echo "make picture draw docs/images/architecture.svg from the code (needs graphviz)"
+	@echo "make page-pictures take docs/images/page-*.png anew, from the tests (needs chromium)"
 	@echo "make docs    the documents as a site: out/docs/index.html"
 	@echo "make install install or upgrade the service, as root: /opt/dcam; make uninstall keeps data"
 	@echo "make deb     build a Debian package: dist/"

@@ -31,8 +31,9 @@ THROTTLED = 4
 PATIENCE_MS = 120_000
 
 _WATCH = """
-  window.whenReady = (selector, since) => new Promise(done => {
-    const look = () => document.querySelector(selector)
+  window.whenReady = (selector, since) => new Promise((done, fail) => {
+    const look = () => document.querySelector("[data-state=failed]")
+      ? fail(new Error(document.body.innerText)) : document.querySelector(selector)
       ? requestAnimationFrame(() => done(performance.now() - since)) : requestAnimationFrame(look);
     look();
   });
