@@ -21,8 +21,8 @@ import numpy as np
 from scipy.special import logsumexp
 
 from core.analysis.binning import HOUR_S, bins_of
-from core.analysis.noise import DAY_S, Gls, NoiseFit, Whitening, fit_noise, gls
-from core.analysis.regression import Interval, daily, freedom, independent, mixed
+from core.analysis.noise import DAY_S, Gls, NoiseFit, Whitening, fit_noise, gls, other_noises
+from core.analysis.regression import Interval, daily, independent, mixed
 from core.arrays import FloatArray, IntArray
 
 MEMORIES_DAYS = ((0.1, 2.0), (2.0, 30.0))
@@ -164,21 +164,22 @@ def fit_creep(
     best = curves(Law.LOGARITHMIC, days, np.ones(1))
     start = None
     for _ in range(_ROUNDS):
-        fit = fit_noise(days, np.column_stack([design, best]), level_mm, MEMORIES_DAYS, start)
+        whole = np.column_stack([design, best])
+        fit = fit_noise(days, whole, level_mm, MEMORIES_DAYS, start)
         start = fit.start
         beside_all = _Beside.of(fit, design, days, level_mm)
         tried = [_tried(law, beside_all) for law in Law]
         best = max(
             (one for law in tried for one in law), key=lambda one: one.log_likelihood
         ).columns
-    degrees = freedom(days, design.shape[1] + 2, fit.noise)
+    wider = _Wider.of(fit, days, whole, level_mm)
     every = [one for law in tried for one in law]
     logs = np.array([one.log_evidence for one in every])
     weights = np.exp(logs - logsumexp(logs))
     laws = [_law_fit(law, every, weights, beside_all) for law in Law]
     return Creep(
         tuple(sorted(laws, key=lambda one: -one.probability)),
-        tuple(_predicted(at, beside_all, every, weights, degrees, confidence) for at in at_days),
+        tuple(_predicted(at, beside_all, every, weights, wider, confidence) for at in at_days),
         len(days),
         fit.noise.sigma_mm,
     )
@@ -236,6 +237,22 @@ class _Beside:
         base = gls(fit.whitening, design, level_mm)
         total = base.variance_mm2 * (len(days) - design.shape[1])
         return cls(days, level_mm, fit.whitening, base, total, fit.gls.variance_mm2)
+
+
+@dataclass(frozen=True, slots=True)
+class _Wider:
+    """By what other noises than the best, which the record allows too, make a law less certain."""
+
+    factors: FloatArray
+    """(k,) on the standard deviation."""
+    shares: FloatArray
+    """(k,)."""
+
+    @classmethod
+    def of(cls, fit: NoiseFit, days: FloatArray, whole: FloatArray, level_mm: FloatArray) -> _Wider:
+        fits, shares = other_noises(fit, days, whole, level_mm, MEMORIES_DAYS)
+        variances = np.array([one.covariance[-1, -1] for one in fits])
+        return cls(np.sqrt(variances / fit.gls.covariance[-1, -1]), shares)
 
 
 @dataclass(frozen=True, slots=True)
@@ -392,7 +409,7 @@ def _predicted(
     beside: _Beside,
     every: list[_Tried],
     weights: FloatArray,
-    degrees: float,
+    wider: _Wider,
     confidence: float,
 ) -> Prediction:
     """The mixture over all shapes at one time."""
@@ -411,4 +428,7 @@ def _predicted(
             for one, lever in zip(every, levers, strict=True)
         ]
     )
-    return Prediction(days, mixed(mean, sigma, weights, degrees, confidence))
+    means, sigmas = np.tile(mean, len(wider.factors)), np.outer(wider.factors, sigma).ravel()
+    shares = np.outer(wider.shares, weights).ravel()
+    degrees = float(len(beside.days) - len(base.coefficients) - 1)
+    return Prediction(days, mixed(means, sigmas, shares, degrees, confidence))

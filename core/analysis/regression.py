@@ -134,23 +134,6 @@ def robust_fit(
     return Fit(keep, fit)
 
 
-def freedom(times_days: FloatArray, parameters: int, noise: Noise) -> float:
-    """Degrees of freedom of the noise's level, given its memory.
-
-    The number of values less the parameters for white noise; a part that remembers counts one value
-    in two of its memories (the integral of its autocorrelation).
-    """
-    spans = (times_days[-1] - times_days[0]) / (
-        2.0 * np.array([part.memory_days for part in noise.parts])
-    )
-    numbers = np.array([float(len(times_days)), *np.minimum(spans, len(times_days))])
-    variances = np.array([noise.white_mm**2, *(part.sigma_mm**2 for part in noise.parts)])
-    # The variance of a long mean is the sum of variance over number: Welch and Satterthwaite.
-    shares = variances / numbers
-    effective = shares.sum() ** 2 / (shares**2 / numbers).sum()
-    return float(max(effective - 2.0, 3.0, min(len(times_days) - parameters, effective) - 2.0))
-
-
 def outliers(whitening: Whitening, fit: Gls) -> BoolArray:
     """(n,) single values that neither the ones before nor the ones after explain.
 
