@@ -27,6 +27,11 @@ SUFFIXES = (".png", ".svg")
     required=True,
     help="Where to draw: a name that ends in .png or .svg.",
 )
+@click.option(
+    "--without-excluded",
+    is_flag=True,
+    help="Leave out what the quality ledger excludes; without it, it is hatched.",
+)
 @reference_options()
 @common_options
 @pass_options
@@ -35,6 +40,7 @@ def command(
     since: datetime | None,
     until: datetime | None,
     output: Path,
+    without_excluded: bool,
     reference: Path | None,
     zero: str,
     window_s: float,
@@ -62,6 +68,7 @@ def command(
             period_s=schedule.period_s,
             offset_s=schedule.offset_s,
             tell=steps.at,
+            without_excluded=without_excluded,
         )
         span = history.since_utc, history.until_utc
         beside = read_beside(store.path, reference, zero, window_s, *span) if reference else None
@@ -75,5 +82,6 @@ def command(
             file_format=output.suffix.lower()[1:],
             reference=beside.marks if beside else (),
             zone=shown_zone(),
+            excluded=history.excluded,
         )
     note(f"{output}: {coverage_text(history.coverage)}")

@@ -68,8 +68,12 @@ def draw(
     file_format: str = "png",
     reference: Sequence[ReferenceMarks] = (),
     zone: tzinfo = UTC,
+    excluded: Sequence[tuple[datetime, datetime]] = (),
 ) -> None:
-    """Write the figure as `png` or `svg`, its time in a zone. Raises MissingLibraryError."""
+    """Write the figure as `png` or `svg`, its time in a zone. Raises MissingLibraryError.
+
+    `excluded` are spans that the quality ledger leaves out.
+    """
     require_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
@@ -99,6 +103,8 @@ def draw(
     _motion(translation, series, series.translation_mm, "translation (mm)", "t")
     for panel, unit in zip(readings, units, strict=True):
         _readings(panel, series, unit)
+    for panel in panels[:2]:
+        _mark_excluded(panel, series, excluded)
     for panel in panels:
         _mark_gaps(panel, gaps)
         panel.grid(alpha=0.25, linewidth=0.5)
@@ -291,3 +297,28 @@ def _mark_gaps(panel: Axes, gaps: Sequence[GapSpan]) -> None:
             linewidth=0,
             label=f"gap: {cause}",
         )
+
+
+def _mark_excluded(
+    panel: Axes, series: Series, excluded: Sequence[tuple[datetime, datetime]]
+) -> None:
+    """Hatch the spans that the ledger leaves out, as far as the series reaches."""
+    if not excluded or not len(series.times):
+        return
+    first, last = series.times[0], series.times[-1]
+    spans = [(max(_time(since), first), min(_time(until), last)) for since, until in excluded]
+    day = np.timedelta64(1, "D")
+    panel.broken_barh(
+        [
+            ((since - _EPOCH) / day, (until - since) / day)
+            for since, until in spans
+            if since < until
+        ],
+        (0.0, 1.0),
+        transform=panel.get_xaxis_transform(),
+        facecolor="none",
+        edgecolor=RAW,
+        hatch="///",
+        linewidth=0,
+        label="excluded",
+    )

@@ -29,6 +29,7 @@ MOST_POINTS = 2 * BINS
 """More rows than this are drawn as their envelope."""
 
 _VALUES = ("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm")
+_OF_MAIN = (*_VALUES, "raw_x_mm", "raw_y_mm")
 _OF_TARGET = ("flag", *_VALUES)
 
 
@@ -115,6 +116,8 @@ class History:
     calibrations: tuple[int, ...]
     """Those that rows were measured with."""
     readings: tuple[ReadingSummary, ...]
+    excluded: tuple[Span, ...]
+    """Spans of the whole record whose values of the main target the quality ledger leaves out."""
 
 
 def read_history(
@@ -125,8 +128,13 @@ def read_history(
     period_s: int,
     offset_s: int,
     tell: Tell,
+    without_excluded: bool = False,
 ) -> History:
-    """Read what there is from `since` to `until`. Raises StoreError, WorkFailedError if nothing."""
+    """Read what there is from `since` to `until`.
+
+    `without_excluded` leaves what the quality ledger excludes out of the series. Raises StoreError,
+    WorkFailedError if nothing is there.
+    """
     since_utc, until_utc = _span(store, since, until)
     coverage = store.coverage(since_utc, until_utc, period_s=period_s, offset_s=offset_s)
     roles = target_roles(store.path, since_utc, until_utc)
@@ -136,11 +144,12 @@ def read_history(
     channels = (*CAMERAS, *(Channel(sensor.name, sensor.unit) for sensor in sensors))
     names = drawn_targets, channels
     drawn = Points(*names) if fits else Envelope(since_utc, until_utc, *names)
-    summary = Summary(roles, excluded_spans(read_ledger(store.path)))
+    excluded = excluded_spans(read_ledger(store.path))
+    summary = Summary(roles, excluded)
     said = Readings(channels)
     for rows in read_columns(store.path, since_utc, until_utc, tell):
         readings = _readings(rows, sensors)
-        drawn.add(rows, readings)
+        drawn.add(_left(rows, excluded) if without_excluded else rows, readings)
         summary.add(rows)
         said.add(readings)
     return History(
@@ -157,7 +166,21 @@ def read_history(
         reasons=tuple(summary.reasons.most_common()),
         calibrations=tuple(sorted(summary.calibrations)),
         readings=said.summaries(),
+        excluded=tuple(excluded),
     )
+
+
+def _left(rows: Columns, excluded: Sequence[Span]) -> Columns:
+    """Rows as if those in the spans had no value of the main target."""
+    out = is_excluded(rows.values["slot_utc"], excluded).tolist()
+    if not any(out):
+        return rows
+    values = dict(rows.values)
+    for name in _OF_MAIN:
+        values[name] = [None if o else v for o, v in zip(out, values[name], strict=True)]
+    missing = int(Flag.MISSING)  # neither suspect nor withheld
+    values["flag"] = [missing if o else f for o, f in zip(out, values["flag"], strict=True)]
+    return Columns(values)
 
 
 def _readings(rows: Columns, sensors: Sequence[Sensor]) -> FloatArray:

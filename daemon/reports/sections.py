@@ -81,6 +81,7 @@ def figure(
             file_format=file_format,
             reference=beside.marks if beside else (),
             zone=words.zone,
+            excluded=history.excluded,
         )
         made[file_format] = file.getvalue()
     yield Picture(made["svg"], made["pdf"], "displacement, rig motion and gaps")

@@ -5,13 +5,18 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from core.results import Displacement
 from daemon.store.database import open_store
+from daemon.store.records import MeasurementRecord
 from daemon.times import slot_text
-from tests.daemon.commands.conftest import Ctl, Ran
+from tests.daemon.commands.conftest import GOOD, Ctl, Ran
 from tests.daemon.store.examples import full_record, slot
 
 SPAN = ("--since", "2026-05-15T08:00Z", "--until", "2026-05-15T17:00Z")
@@ -98,3 +103,33 @@ def test_exports_mark_what_is_excluded_and_keep_its_values(ctl: Ctl, state: Path
     plain = ctl("--state", state, "export", "--format", "csv-plain").out
     quality = [row["quality"] for row in csv.DictReader(io.StringIO(plain))]
     assert [word == "excluded" for word in quality] == [False, True, False]
+
+
+@pytest.fixture
+def excluded(ctl: Ctl, bench: Path, state: Path, ledger) -> tuple[object, ...]:
+    """A record of three good minutes, of which the ledger leaves out the one at 9 mm."""
+    with open_store(state) as store:
+        for number, mm in enumerate((1.0, 9.0, 1.0)):
+            value = Displacement(np.array([0.0, mm]), np.eye(2) * 1e-4)
+            row = replace(GOOD, corrected=value, raw=value)
+            store.add_measurement(MeasurementRecord(slot(number), row, "hash", "1.0"))
+    since, until = (slot_text(slot(number)) for number in (1, 2))
+    assert ledger("exclude", "--since", since, "--until", until, "--by", "Eve", "paint").code == 0
+    return "--config", bench / "dcam.toml", "--state", state
+
+
+def test_a_figure_hatches_or_leaves_out_what_is_excluded(ctl: Ctl, excluded, tmp_path) -> None:
+    sizes = {}
+    for name, flags in (("with", ()), ("without", ("--without-excluded",))):
+        figure = tmp_path / f"{name}.svg"
+        assert ctl(*excluded, "plot", *flags, "--output", figure).code == 0
+        sizes[name] = figure.read_text()
+        assert "<!-- excluded -->" in sizes[name]
+    assert _highest_label(sizes["with"]) > 5.0
+    assert _highest_label(sizes["without"]) < 5.0
+
+
+def _highest_label(svg: str) -> float:
+    """The largest number on the axis of the first panel, whose name follows its numbers."""
+    axis = svg[: svg.index("vertical y (mm)")]
+    return max(float(text) for text in re.findall(r"<!-- (\d+(?:\.\d+)?) -->", axis))
