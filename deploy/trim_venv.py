@@ -39,10 +39,9 @@ CUTS = {
     "numba on graphics cards, and with Intel's threads, which are not installed": [
         *("numba/cuda", "numba/np/ufunc/tbbpool.*.so"),
     ],
-    "matplotlib's example data, and fonts that figures of ours do not name": [
+    "matplotlib's example data, and PostScript's names of fonts": [
         "matplotlib/mpl-data/sample_data",
         *(f"matplotlib/mpl-data/fonts/{name}" for name in ("afm", "pdfcorefonts")),
-        "matplotlib/mpl-data/fonts/ttf/STIX*",
     ],
     "reportlab's PostScript fonts: our pages use those that every PDF reader has": [
         *("reportlab/fonts/*.pfb", "reportlab/fonts/*.sfd"),
