@@ -331,6 +331,7 @@ def _routes(page: Page) -> list[Route | Mount]:
         Route("/api/events", page.listed(slots.events)),
         Route("/api/calibrations", page.whole(slots.calibrations)),
         Route("/api/alarms", page.whole(page.alarms)),
+        Route("/api/ledger", page.whole(slots.ledger)),
         Route("/api/datum", page.whole(slots.datum)),
         Route("/api/aim", page.aim),
         Route("/aim/{name}", page.aim_picture),

@@ -13,6 +13,7 @@ from daemon.config.reading import Config
 from daemon.store.datum import read_links
 from daemon.store.datum_fields import sigmas_mm
 from daemon.store.json_fields import plain, result_fields
+from daemon.store.ledger import in_force, ledger_entries
 from daemon.store.record_view import (
     calibration_views,
     events_within,
@@ -146,6 +147,27 @@ def events(record: Record, since: datetime, until: datetime) -> dict[str, Any]:
     return {
         "schema": 1,
         "events": [{"time": time, "kind": kind, "detail": detail} for time, kind, detail in found],
+    }
+
+
+def ledger(record: Record) -> dict[str, Any]:
+    """What people have said of spans and has not been taken back, newest first."""
+    with record.reading() as connection:
+        found = in_force(ledger_entries(connection))
+    return {
+        "schema": 1,
+        "ledger": [
+            {
+                "id": one.id,
+                "kind": one.kind.value,
+                "author": one.author,
+                "text": one.text,
+                "start": one.since_utc,
+                "end": one.until_utc,
+                "point": one.point,
+            }
+            for one in reversed(found)
+        ],
     }
 
 
