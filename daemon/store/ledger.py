@@ -12,18 +12,20 @@ from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from sqlalchemy.orm import Session
 
 from core.arrays import BoolArray
 from daemon.errors import UsageError
 from daemon.store.convert import stored_time
 from daemon.store.reading import whole_rows
-from daemon.store.schema import LedgerRow
 from daemon.store.sqlite import connect_readonly, said_plainly
 from daemon.times import utc_array
+
+if TYPE_CHECKING:  # SQLAlchemy is loaded by who writes
+    from sqlalchemy.orm import Session
+
 
 MAIN_POINT = "main"
 ALL_POINTS = "all"
@@ -85,6 +87,8 @@ def add_entry(session: Session, entry: LedgerEntry) -> int:
     Raises UsageError for an entry that answers one that is not there, or takes back what is
     taken back already.
     """
+    from daemon.store.schema import LedgerRow
+
     rows = session.query(LedgerRow).order_by(LedgerRow.id).all()
     known = [_entry({name: getattr(row, name) for name in _COLUMNS}) for row in rows]
     if entry.entry_id is not None:
