@@ -18,7 +18,7 @@ from sqlalchemy import Engine
 
 from core.arrays import FloatArray
 from daemon.durable import fsync_directory
-from daemon.store import calibrations, datum, events, frame_days, ledger, measurements, undated
+from daemon.store import calibrations, datum, events, frame_days, ledger_rows, measurements, undated
 from daemon.store import gaps as gap_runs
 from daemon.store.accounting import missing_slots
 from daemon.store.columns import read_columns
@@ -26,6 +26,7 @@ from daemon.store.convert import measurement_record
 from daemon.store.copying import Copied, Tell, backup, rescue
 from daemon.store.engine import make_engine, translated
 from daemon.store.hourly_closures import hourly_closures
+from daemon.store.ledger import LedgerEntry
 from daemon.store.migrate import migrate as run_migrations
 from daemon.store.migrate import require_head
 from daemon.store.overview import Overview
@@ -347,10 +348,10 @@ class Store(Transactions):
 
     # The quality ledger
 
-    def add_ledger_entry(self, entry: ledger.LedgerEntry) -> int:
+    def add_ledger_entry(self, entry: LedgerEntry) -> int:
         """Add what a person says of the record; give its number. Raises UsageError."""
         with self._write() as session:
-            return ledger.add_entry(session, entry)
+            return ledger_rows.add_entry(session, entry)
 
     # Events and marks
 

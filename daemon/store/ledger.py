@@ -6,26 +6,21 @@ Entries are only added. One that was wrong is taken back by another, which can b
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from core.arrays import BoolArray
-from daemon.errors import UsageError
 from daemon.store.convert import stored_time
 from daemon.store.reading import whole_rows
 from daemon.store.sqlite import connect_readonly, said_plainly
 from daemon.times import utc_array
-
-if TYPE_CHECKING:  # SQLAlchemy is loaded by who writes
-    from sqlalchemy.orm import Session
-
 
 MAIN_POINT = "main"
 ALL_POINTS = "all"
@@ -75,43 +70,10 @@ def read_ledger(path: Path) -> list[LedgerEntry]:
 
 def ledger_entries(connection: sqlite3.Connection) -> list[LedgerEntry]:
     """All entries, oldest first."""
-    return [_entry(row) for row in whole_rows(connection, "ledger", _QUERY)]
+    return [entry_of(row) for row in whole_rows(connection, "ledger", _QUERY)]
 
 
 _QUERY = "SELECT * FROM ledger ORDER BY id"
-
-
-def add_entry(session: Session, entry: LedgerEntry) -> int:
-    """Add an entry; give its number.
-
-    Raises UsageError for an entry that answers one that is not there, or takes back what is
-    taken back already.
-    """
-    from daemon.store.schema import LedgerRow
-
-    rows = session.query(LedgerRow).order_by(LedgerRow.id).all()
-    known = [_entry({name: getattr(row, name) for name in _COLUMNS}) for row in rows]
-    if entry.entry_id is not None:
-        _require_answerable(known, entry)
-    row = LedgerRow(**{name: getattr(entry, name) for name in _COLUMNS if name != "id"})
-    session.add(row)
-    session.flush()
-    return row.id
-
-
-_COLUMNS = (
-    *("id", "created_utc", "author", "kind", "since_utc", "until_utc", "point", "entry_id"),
-    "text",
-)
-
-
-def _require_answerable(known: Sequence[LedgerEntry], entry: LedgerEntry) -> None:
-    if entry.entry_id not in {one.id for one in known}:
-        msg = f"the ledger has no entry {entry.entry_id}; dcam-ctl ledger lists them"
-        raise UsageError(msg)
-    if entry.kind is LedgerKind.UNDO and entry.entry_id in undone(known):
-        msg = f"entry {entry.entry_id} is taken back already"
-        raise UsageError(msg)
 
 
 def undone(entries: Sequence[LedgerEntry]) -> dict[int, LedgerEntry]:
@@ -170,7 +132,8 @@ def excluded_points(slots: Sequence[str], entries: Sequence[LedgerEntry]) -> lis
     return [names or None for names in found]
 
 
-def _entry(row: dict[str, Any]) -> LedgerEntry:
+def entry_of(row: Mapping[str, Any]) -> LedgerEntry:
+    """An entry of the columns of its row, whose times are text or times."""
     since, until = (
         stored_time(when) if isinstance(when, str) else when
         for when in (row["since_utc"], row["until_utc"])

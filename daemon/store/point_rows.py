@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import math
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from core.results import Flag, Reason
 from daemon.store.datum import Datums, read_datums
+from daemon.store.ledger import Span, excluded_spans, ledger_entries
 from daemon.store.reading import fetch
 from daemon.store.records import BELIEVED, DatumMethod
 from daemon.store.runs import next_second
@@ -62,7 +64,10 @@ def open_points(state: Path) -> Iterator[sqlite3.Connection]:
 def point_rows(
     connection: sqlite3.Connection, target: str, axis: str, since_utc: datetime, until_utc: datetime
 ) -> PointRows:
-    """Rows with a value, since <= slot < until; `target` is `main` or a further target's name."""
+    """Rows with a value, since <= slot < until; `target` is `main` or a further target's name.
+
+    Those that the quality ledger excludes are left out, and are not passed over as untrusted.
+    """
     limits = [slot_text(next_second(time)) for time in (since_utc, until_utc)]
     if target == "main":
         query = (
@@ -82,10 +87,19 @@ def point_rows(
             f" AND json_extract(one.value, '$.{axis}_mm') IS NOT NULL ORDER BY slot_utc"
         )
         found = fetch(connection, query, *limits, target)
+    found = _kept(found, excluded_spans(ledger_entries(connection), target))
     datums = read_datums(connection)
     trusted = [row for row in found if row[3] in TRUSTED]
     rows = tuple(_row(row, datums, target, axis) for row in trusted)
     return PointRows(rows, len(found) - len(rows))
+
+
+def _kept(found: Sequence[Any], spans: Sequence[Span]) -> list[Any]:
+    """The rows outside the spans; each begins with its Unix time."""
+    limits_s = [(since.timestamp(), until.timestamp()) for since, until in spans]
+    return [
+        row for row in found if not any(begin_s <= row[0] < end_s for begin_s, end_s in limits_s)
+    ]
 
 
 def reading_rows(

@@ -10,6 +10,7 @@ import pytest
 
 from core.results import Displacement, Flag, Reason, TargetMeasurement
 from core.site import TargetRole
+from daemon.store.ledger import LedgerEntry, LedgerKind
 from daemon.store.records import CameraState, Reading
 from tests.daemon.alarm.conftest import (
     LOW,
@@ -83,6 +84,20 @@ def test_what_moves_faster_than_the_bridge_can_is_an_alarm_all_the_same(
     look(site)
     (message,) = program.messages()
     assert "5 of them suspect (camera_bumped" in message
+
+
+def test_what_the_ledger_excludes_raises_nothing(site: Site, program: Program) -> None:
+    configure(site, f"command = {program.command}\n{LOW}")
+    begin = site.end
+    site.measure(8, row(-50.0))
+    painted = LedgerEntry(LedgerKind.EXCLUDE, "eve", begin, "paint", begin, site.end)
+    site.write(lambda store: store.add_ledger_entry(painted) and None)
+    look(site)
+    assert program.messages() == []
+    undo = LedgerEntry(LedgerKind.UNDO, "eve", site.end, "it was real", entry_id=1)
+    site.write(lambda store: store.add_ledger_entry(undo) and None)
+    look(site)
+    assert program.titles() == ["dcam bench: CRITICAL"]
 
 
 def test_a_gap_neither_clears_nor_raises(site: Site, program: Program) -> None:
