@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 import click
 
@@ -35,6 +36,9 @@ from daemon.store.verification import (
     slot_findings,
 )
 
+if TYPE_CHECKING:  # the numerics are loaded by who rebuilds rows
+    from daemon.slots.rebuilding import Rebuilt
+
 _LOWEST_PRIORITY = 19
 
 
@@ -45,11 +49,18 @@ _LOWEST_PRIORITY = 19
     metavar="TIME",
     help="Slots and frames from this time on: 2026-03-01, 24h, 30d.",
 )
+@click.option(
+    "--rebuild",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Also make N rows, chosen at random, once more from their frames: each must come out "
+    "the same to the last bit.",
+)
 @json_option
 @tz_option
 @common_options
 @pass_options
-def command(options: Options, since: datetime | None, *, as_json: bool) -> int:
+def command(options: Options, since: datetime | None, rebuild: int | None, *, as_json: bool) -> int:
     """Read everything: each row and frame against its checksum, and each slot exactly once.
 
     Looks at the database's pages, every row, the calibrations, the slots since the first (each has
@@ -59,15 +70,19 @@ def command(options: Options, since: datetime | None, *, as_json: bool) -> int:
     Exit code 0 when all is well, 1 with findings.
     """
     os.nice(_LOWEST_PRIORITY)
-    counted = Counted()
+    counted, rebuilt = Counted(), None
     with open_store_readonly(options.state) as store, progress(1, "reading") as steps:
         findings = list(_findings(options, store, since, steps, counted))
+        if rebuild is not None:
+            rebuilt, differing = _rebuild(options, store, rebuild, since, steps)
+            findings += differing
     _have_it_looked_at(options, findings)
     if as_json:
         print_json(
             {
                 "command": "verify",
                 **asdict(counted),
+                "rebuilt": None if rebuilt is None else asdict(rebuilt),
                 "findings": [asdict(finding) for finding in findings],
             }
         )
@@ -77,6 +92,8 @@ def command(options: Options, since: datetime | None, *, as_json: bool) -> int:
         say(f"{len(findings)} finding(s)" if findings else "all well")
         for line in _what_was_looked_at(counted):
             say(line)
+        if rebuilt is not None:
+            say(_what_was_rebuilt(rebuilt))
     return ExitCode.FAILED if findings else ExitCode.DONE
 
 
@@ -90,6 +107,29 @@ def _what_was_looked_at(counted: Counted) -> Iterator[str]:
     yield f"{counted.images} images read and compared with their checksums"
     if counted.slots_with_frames_removed:
         yield f"{counted.slots_with_frames_removed} slots without images, removed to make room"
+
+
+def _what_was_rebuilt(rebuilt: Rebuilt) -> str:
+    text = f"{rebuilt.rows} rows made once more from their frames and compared to the last bit"
+    if rebuilt.skipped:
+        text += (
+            f"; {rebuilt.skipped} passed over: of another version or config, or without calibration"
+        )
+    return text
+
+
+def _rebuild(
+    options: Options, store: Store, wanted: int, since: datetime | None, steps: Steps
+) -> tuple[Rebuilt, list[Finding]]:
+    """Make rows once more; how many, and those that differ."""
+    from daemon.slots.rebuilding import Rebuilding, Rebuilt
+    from daemon.store.frames.archive import FrameArchive
+
+    config, rebuilt = options.config, Rebuilt()
+    archive = FrameArchive(options.state)
+    look = Rebuilding(store, archive, config.site(), config.config_hash())
+    steps.begin("rows once more")
+    return rebuilt, list(look.findings(wanted, since, rebuilt, steps.at))
 
 
 def _findings(
