@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import sys
+import textwrap
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 JSON_SCHEMA = 1
 LINE_PERIOD_S = 10.0
 """How often a long work says on a pipe how far it has come."""
+_WORD, _ANSWER = 11, 80
+"""Columns of an answer's word, and of word and answer together."""
 _GAP = 2
 """Spaces between two columns."""
 _NARROWEST = 12
@@ -51,6 +54,16 @@ def _readable(text: str) -> str:
 def say(text: str = "") -> None:
     """Print a line of data; times in the zone of `--tz`."""
     print(_readable(text))
+
+
+def say_answer(word: str, text: str, colour: str) -> None:
+    """Print an answer behind its word in at most 80 columns; the word in colour on a terminal."""
+    indent = " " * _WORD
+    lines = textwrap.wrap(_readable(text), _ANSWER, initial_indent=indent, subsequent_indent=indent)
+    shown = f"{word:<{_WORD}}"
+    if sys.stdout.isatty() and not os.environ.get("NO_COLOR"):
+        shown = click.style(shown, fg=colour, bold=True)
+    print("\n".join([shown + lines[0][_WORD:], *lines[1:]]).rstrip())
 
 
 def note(text: str) -> None:

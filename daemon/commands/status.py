@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import time
 from dataclasses import asdict
 from datetime import UTC, datetime
 
@@ -16,7 +18,9 @@ from daemon.commands.options import (
     pass_options,
     tz_option,
 )
-from daemon.commands.output import gap_fields, print_json, print_table, say
+from daemon.commands.output import gap_fields, print_json, print_table, say, say_answer
+from daemon.errors import StoreError, UsageError
+from daemon.status.answers import answers
 from daemon.status.facts import Facts, collect_facts
 from daemon.status.item import Item, Level, worst
 from daemon.status.verdict import judge, no_verdict
@@ -26,21 +30,50 @@ from daemon.store.overview import TargetSummary
 from daemon.store.records import Coverage
 from daemon.text import utc_text
 
+WATCH_S = 10.0
+COLOURS = {
+    Level.OK: "green",
+    Level.WARNING: "yellow",
+    Level.CRITICAL: "red",
+    Level.UNKNOWN: "magenta",
+}
+
 
 @click.command(
     "status",
     epilog="\b\nExample:\n  dcam-ctl status\n  dcam-ctl status --json | jq .level",
+)
+@click.option(
+    "--watch",
+    "period_s",
+    type=click.FloatRange(min=1),
+    is_flag=False,
+    flag_value=WATCH_S,
+    metavar="SECONDS",
+    help="Look again and again until Ctrl-C, every 10 s without a number.",
 )
 @at_option
 @json_option
 @tz_option
 @common_options
 @pass_options
-def command(options: Options, at_utc: datetime | None, as_json: bool) -> int:
-    """Tell how the site is: last value and its age, cameras, calibration, coverage, gaps, disk.
+def command(
+    options: Options, period_s: float | None, at_utc: datetime | None, as_json: bool
+) -> int:
+    """Tell how the site is: is it measuring, last value and its age, what is wrong, disk.
 
-    Exit code 0 OK, 1 warning, 2 critical, 3 unknown, as monitoring systems expect it.
+    First a line for monitoring systems, then the answers in 80 columns, then each thing that was
+    looked at. Exit code 0 OK, 1 warning, 2 critical, 3 unknown, as monitoring systems expect it.
     """
+    if period_s is None:
+        return _look(options, at_utc, as_json=as_json)
+    if as_json or at_utc is not None:
+        msg = "--watch looks at the present, for people: leave out --json and --at"
+        raise UsageError(msg)
+    return _watch(options, period_s)
+
+
+def _look(options: Options, at_utc: datetime | None, *, as_json: bool) -> Level:
     facts = collect_facts(options.config, options.state, at_utc or datetime.now(UTC))
     items = [*judge(facts), alarm_item(options.config, options.state, facts.now_utc)]
     if as_json:
@@ -48,6 +81,23 @@ def command(options: Options, at_utc: datetime | None, as_json: bool) -> int:
     else:
         print_status(facts, items)
     return worst(items)
+
+
+def _watch(options: Options, period_s: float) -> Level:
+    """Look until Ctrl-C; a database that cannot be read now may be readable the next time."""
+    level = Level.UNKNOWN
+    try:
+        while True:
+            click.clear()  # on a terminal alone
+            try:
+                level = _look(options, None, as_json=False)
+            except StoreError as error:
+                level = tell_failure(error, as_json=False)
+            sys.stdout.flush()
+            time.sleep(period_s)
+    except KeyboardInterrupt:
+        say()
+        return level
 
 
 def tell_failure(error: Exception, *, as_json: bool) -> Level:
@@ -63,11 +113,15 @@ def tell_failure(error: Exception, *, as_json: bool) -> Level:
 
 
 def print_status(facts: Facts, items: list[Item]) -> None:
-    """Print one line that a monitoring system shows, with its figures, and the table below."""
+    """Print one line that a monitoring system shows, with its figures, answers, and a table."""
     level = worst(items)
     wrong = {item.text: item for item in items if item.level is level and level is not Level.OK}
     summary = "; ".join(f"{item.name}: {item.text}" for item in wrong.values()) or items[0].text
     say(f"DCAM {level.name} - {facts.site}: {summary} | {_figures(facts)}")
+    say()
+    for answer in answers(facts, items):
+        say_answer(answer.word, answer.text, COLOURS[answer.level])
+    say()
     print_table(
         ("what", "state", "as of " + utc_text(facts.now_utc.replace(microsecond=0))),
         [(item.name, item.level.name.lower(), item.text) for item in items],
