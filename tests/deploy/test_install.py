@@ -95,6 +95,25 @@ def test_what_the_service_needs_is_in_place(installed: Path) -> None:
         assert first_line.startswith(f"#!/opt/dcam/{release(installed)}/bin/python")
 
 
+def documents_of_units(tree: Path, units: str) -> list[Path]:
+    """Where in the tree each file lies that `systemctl help` would show."""
+    named = [
+        word.removeprefix("file:///")
+        for unit in (tree / units).glob("*.*")
+        for line in unit.read_text().splitlines()
+        if line.startswith("Documentation=")
+        for word in line.removeprefix("Documentation=").split()
+        if word.startswith("file:///")
+    ]
+    return [tree / name for name in named]
+
+
+def test_units_name_documents_that_are_there(installed: Path) -> None:
+    documents = documents_of_units(installed, "usr/local/lib/systemd/system")
+    assert len(documents) == len(list((installed / "usr/local/lib/systemd/system").iterdir()))
+    assert [path for path in documents if not path.is_file()] == []
+
+
 def test_nothing_installed_names_the_place_it_was_made_in(installed: Path) -> None:
     """Programs, their config, compiled files with the paths that tracebacks show."""
     made_in = str(installed).encode()
@@ -292,6 +311,10 @@ def test_debian_package_holds_it_all(package: Path, tmp_path: Path) -> None:
     ):
         assert f"/usr/{name}" in files
     assert not [name for name in files if not name.startswith("/usr/") and name != "/"]
+    ask("--extract", package, tmp_path)
+    documents = documents_of_units(tmp_path, "usr/lib/systemd/system")
+    assert len(documents) == len(units)
+    assert [path for path in documents if not path.is_file()] == []
     ask("--control", package, tmp_path / "control")
     for script in ("preinst", "postinst", "prerm", "postrm"):
         subprocess.run(["sh", "-n", str(tmp_path / "control" / script)], check=True)
