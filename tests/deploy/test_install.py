@@ -236,12 +236,14 @@ def test_without_systemd_it_installs_and_says_what_is_left_to_do(tmp_path: Path)
     )
     assert done.returncode == 0, done.stdout + done.stderr
     for said in (
-        "installed: dcamd and dcam-ctl in /usr/local/bin",
+        "installed: dcamd, dcam-ctl and dcam-web in /usr/local/bin",
         "Left to do by hand:",
         "make /etc/dcam/dcam.toml your site's",
         "runuser -u dcam -- env NUMBA_CACHE_DIR=/var/cache/dcam/numba dcamd",
         "every minute: runuser -u dcam -- dcam-ctl alarm",
         "once a day: runuser -u dcam -- dcam-ctl report --monthly",
+        "runuser -u dcam -- dcam-web",
+        "runuser -u dcam -- dcam-ctl send --follow",
         ":/var/lib/dcam:/usr/sbin/nologin",
         "state: dcam 750",
         "/opt/dcam/venv/bin/dcamd\n",
