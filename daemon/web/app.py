@@ -36,7 +36,7 @@ from daemon.web.guard import Guard
 from daemon.web.metrics import CONTENT_TYPE, Metrics
 from daemon.web.overview import Overviews, alarm_fields
 from daemon.web.record import Record
-from daemon.web.series import MOST_BUCKETS, Asked, quantities_of, series, spans
+from daemon.web.series import MOST_BUCKETS, Asked, newest_entry, quantities_of, series, spans
 from daemon.web.settings import Settings
 from daemon.web.worker import Worker, WorkerError
 
@@ -101,6 +101,11 @@ class Page:
         only(request.query_params)
         return self.answer(request, self.overviews.fields)
 
+    def site(self, request: Request) -> Response:
+        """Answer `/api/site`."""
+        only(request.query_params)
+        return self.answer(request, self.overviews.site)
+
     def series(self, request: Request) -> Response:
         """Answer `/api/series`."""
         query = request.query_params
@@ -125,7 +130,7 @@ class Page:
         return self.answer(
             request,
             lambda: spans(self.record, self.follower.pyramid, since, until, resolution_s),
-            (since, until, resolution_s, self.follower.progress()),
+            (since, until, resolution_s, self.follower.progress(), newest_entry(self.record)),
         )
 
     def slot(self, request: Request) -> Response:
@@ -322,6 +327,7 @@ def _routes(page: Page) -> list[Route | Mount]:
         Route("/slot/{slot}", slot_page),
         Route("/calibrations/{number:int}", calibration_page),
         Route("/api/overview", page.overview),
+        Route("/api/site", page.site),
         Route("/api/series", page.series),
         Route("/api/spans", page.spans),
         Route("/api/slot/{slot}", page.slot),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from contextlib import suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
@@ -51,6 +52,20 @@ class Overviews:
                 self._kept = self._collected()
                 self._kept_s = time.monotonic()
             return self._kept
+
+    def site(self) -> dict[str, Any]:
+        """What a figure needs to begin, as far as it is known: points, readings, span."""
+        record, config = Record(self._settings.state), self._settings.site.config
+        named = {one.name: one.unit for one in config.reading}
+        with suppress(StoreError), record.reading() as connection:
+            named |= readings_named(connection)
+        found = record.span()
+        return {
+            **_head(config, datetime.now(UTC)),
+            "readings": [{"name": name, "unit": unit} for name, unit in named.items()],
+            "span": None if found is None else {"first": found[0], "last": found[1]},
+            "building": self._building(),
+        }
 
     def _collected(self) -> dict[str, Any]:
         config, now_utc = self._settings.site.config, datetime.now(UTC)

@@ -18,6 +18,8 @@ import numpy.typing as npt
 
 from daemon.store.chart_rows import ChartRows, Masks, chart_rows, row_count, said_by
 from daemon.store.datum import read_datums
+from daemon.store.ledger import LedgerEntry, in_force, ledger_entries
+from daemon.store.reading import value
 from daemon.store.record_view import events_within, flagged_rows, gaps_within
 from daemon.store.runs import next_second
 from daemon.times import slot_text
@@ -176,6 +178,7 @@ def spans(
             flags = _runs_of_pyramid(pyramid, since, until, resolution_s)
         links = read_datums(connection).values()
         events = events_within(connection, since, until, 500)
+        said = in_force(ledger_entries(connection))
     return {
         "schema": 1,
         "gaps": [
@@ -199,6 +202,31 @@ def spans(
             if since <= link.created_utc < until
         ],
         "events": [{"time": time, "kind": kind, "detail": detail} for time, kind, detail in events],
+        "ledger": [
+            entry_fields(one)
+            for one in said
+            if one.since_utc and one.until_utc and one.since_utc < until and one.until_utc > since
+        ],
+    }
+
+
+def newest_entry(record: Record) -> int | None:
+    """The number of the newest entry of the ledger. Raises StoreError."""
+    with record.reading() as connection:
+        found: int | None = value(connection, "SELECT max(id) FROM ledger")
+    return found
+
+
+def entry_fields(entry: LedgerEntry) -> dict[str, Any]:
+    """What a person has said of a span."""
+    return {
+        "id": entry.id,
+        "kind": entry.kind.value,
+        "author": entry.author,
+        "text": entry.text,
+        "start": entry.since_utc,
+        "end": entry.until_utc,
+        "point": entry.point,
     }
 
 

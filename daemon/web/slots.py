@@ -28,6 +28,7 @@ from daemon.web.follower import day_text
 from daemon.web.overview import points_of
 from daemon.web.pyramid import DAY_S, EPOCH_S, Pyramid, merged
 from daemon.web.record import Record
+from daemon.web.series import entry_fields
 
 MOST_DAYS = 400
 _NOT_NUMBERS = {"id", "slot_utc", "flag", "reasons", "targets", "digest", "motion_covariance"}
@@ -154,21 +155,7 @@ def ledger(record: Record) -> dict[str, Any]:
     """What people have said of spans and has not been taken back, newest first."""
     with record.reading() as connection:
         found = in_force(ledger_entries(connection))
-    return {
-        "schema": 1,
-        "ledger": [
-            {
-                "id": one.id,
-                "kind": one.kind.value,
-                "author": one.author,
-                "text": one.text,
-                "start": one.since_utc,
-                "end": one.until_utc,
-                "point": one.point,
-            }
-            for one in reversed(found)
-        ],
-    }
+    return {"schema": 1, "ledger": [entry_fields(one) for one in reversed(found)]}
 
 
 def calibrations(record: Record) -> dict[str, Any]:

@@ -22,19 +22,9 @@ const PARTS = {
     found.map((event) => [timeElement(event.time, "second"), event.kind, event.detail])],
 };
 
-// Alarms stand in the overview; the ledger's entries are spans of the record.
-const overview = getJson("/api/overview");
-const wholeRecord = async () => {
-  const { span } = await overview;
-  if (!span) return {};
-  return getJson("/api/spans", { since: iso(epoch(span.first)), until: iso(epoch(span.last) + 1) });
-};
-const SOURCES = { alarms: () => overview, ledger: wholeRecord };
-
 const show = async ([name, make]) => {
   try {
-    const answer = await (SOURCES[name] ?? (() => getJson(`/api/${name}`)))();
-    const found = answer[name] ?? [];
+    const found = (await getJson(`/api/${name}`))[name];
     const [columns, rows] = make(found);
     below(section(name), found.length ? table(t(`heading_${name}`), columns, rows) : el("p", {}, t("none")));
   } catch (error) {

@@ -82,17 +82,21 @@ const refresh = async () => {
     if (text !== shown) showState(overview);
     shown = text;
     next = overview.refresh_s ?? next;
-    return overview;
   } catch (error) {
     failed(error);
-    return null;
   } finally {
     setTimeout(refresh, 1000 * next);
   }
 };
 
-const overview = await refresh();
-if (overview && !window.uPlot) {
-  below(figureNode, el("p", { class: "notice" }, t("no_chart")));
+// The figure does not wait for the verdict.
+
+refresh();
+try {
+  const site = await getJson("/api/site");
+  if (!window.uPlot) throw new Error(t("no_chart"));
+  new RecordFigure(figureNode, site, openSlot);
+} catch (error) {
+  below(figureNode, el("p", { class: "notice" }, t("failed", { text: error.message })));
   figureNode.dataset.state = "failed";
-} else if (overview) new RecordFigure(figureNode, overview, openSlot);
+}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,8 @@ from playwright.sync_api import Browser, sync_playwright
 from benchmarks.page_record import PageRecord, write_record
 from benchmarks.page_server import ROOT, serving
 from daemon.config.reading import load_config
+from daemon.store.database import open_store
+from daemon.store.ledger import LedgerEntry, LedgerKind
 from tests.daemon.web.browsing import CHROMIUM, start_chromium
 
 SLOTS = 20_000
@@ -44,5 +47,9 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     config = directory / "dcam.toml"
     config.write_text(CONFIG)
     record = write_record(directory / "state", load_config(config).site(), SLOTS)
+    span = record.suspect, record.suspect + timedelta(minutes=30)
+    painted = LedgerEntry(LedgerKind.EXCLUDE, "Eve", record.last, "plate painted", *span)
+    with open_store(directory / "state") as store:
+        store.add_ledger_entry(painted)
     with serving(config, directory / "state") as url:
         yield Served(url, record)

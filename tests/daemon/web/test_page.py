@@ -231,7 +231,9 @@ class TestFigure:
             visit.show(slot_text(last - span), slot_text(last))
             assert seconds(visit.span()) == pytest.approx(span.total_seconds(), abs=2)
 
-    def test_gaps_and_flags_say_their_reason_on_focus(self, visit: Visit, served: Served) -> None:
+    def test_gaps_flags_and_exclusions_say_their_reason_on_focus(
+        self, visit: Visit, served: Served
+    ) -> None:
         visit.show(*around(served.record.gap, 200))
         readout = visit.page.locator(".readout")
         gap = visit.page.locator(".mark-gap")
@@ -241,6 +243,8 @@ class TestFigure:
         visit.show(*around(served.record.suspect, 60))
         visit.page.locator(".mark-flag-3").focus()
         expect(readout).to_contain_text(f"suspect: {SUSPECT.value}")
+        visit.page.locator(".mark-excluded").focus()
+        expect(readout).to_contain_text("exclude: plate painted (Eve)")
 
     def test_the_line_is_broken_in_a_gap(self, visit: Visit, served: Served) -> None:
         """Half the figure is a gap: nothing is drawn there but its shade."""
@@ -296,6 +300,8 @@ class TestOtherPages:
         visit.go("/events")
         expect(visit.page.locator("#gaps table")).to_contain_text("power_loss")
         expect(visit.page.locator("#events table")).to_contain_text("power_lost")
+        expect(visit.page.locator("#ledger table")).to_contain_text("plate painted")
+        expect(visit.page.locator("#alarms table")).to_contain_text("last-good-value")
         visit.go("/calibrations")
         visit.page.locator("#calibrations").get_by_role("link").first.click()
         visit.settle()
