@@ -12,7 +12,9 @@ from daemon.alarm.orders import Orders, read_orders
 from daemon.alarm.wrong import level_of
 from daemon.config.alarm import WATCHED, RateAlarm, ReadingAlarm, ValueAlarm
 from daemon.config.model import Config
+from daemon.status.facts import Facts
 from daemon.status.item import Item, Level
+from daemon.status.verdict import judge
 from daemon.text import utc_text
 
 State = Literal["armed", "raised", "acknowledged", "silenced", "raised and silenced"]
@@ -60,6 +62,11 @@ def armed_alarms(config: Config, state: Path, now_utc: datetime) -> list[ArmedAl
         watched.setdefault(name, (one.level, "the whole site"))
     found = [_one(*(name, *what), memory, orders, now_utc) for name, what in watched.items()]
     return sorted(found, key=lambda one: one.since_utc is None)
+
+
+def all_items(config: Config, state: Path, facts: Facts) -> list[Item]:
+    """The whole verdict: what `judge` finds, and the alarms."""
+    return [*judge(facts), alarm_item(config, state, facts.now_utc)]
 
 
 def alarm_item(config: Config, state: Path, now_utc: datetime) -> Item:

@@ -53,6 +53,7 @@ _UNITS_MIN = {"m": 1.0, "min": 1.0, "h": 60.0, "d": 1440.0}
 )
 @click.option("--test", is_flag=True, help="Send a message now, and print who accepted it.")
 @at_option
+@tz_option
 @common_options
 @click.pass_context
 def command(ctx: click.Context, test: bool, at_utc: datetime | None) -> int:

@@ -19,6 +19,7 @@ import numpy as np
 from core.arrays import FloatArray
 from core.calibration.calibrate import Method
 from core.results import Displacement, Flag
+from daemon.alarm.armed import all_items
 from daemon.commands.calibrate_head import calibrate_with_head
 from daemon.commands.calibrate_result import judge_and_store
 from daemon.commands.demo_season import DAYS, season
@@ -34,7 +35,6 @@ from daemon.reports.history import gap_spans
 from daemon.reports.series import series_of
 from daemon.status.coverage import coverage_text
 from daemon.status.facts import collect_facts
-from daemon.status.verdict import judge
 from daemon.store.database import Store, open_store, open_store_readonly
 from daemon.store.records import GapRecord, MeasurementRecord
 from daemon.text import span_text
@@ -155,7 +155,7 @@ def tell(site: Installation, store: Store, figure: Path | None) -> None:
     rows, gaps = list(store.measurements()), store.gaps()
     facts = collect_facts(site.config, site.state_directory, rows[-1].slot_utc)
     say("\n3. dcam-ctl status, at the last slot")
-    print_status(facts, judge(facts))
+    print_status(facts, all_items(site.config, site.state_directory, facts))
     say(f"\n4. Coverage: {coverage_text(facts.coverage_24h)}")
     say("\n5. dcam-ctl gaps")
     print_gaps(gaps)

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import click
 
+from daemon.alarm.armed import all_items
 from daemon.commands.options import Options, at_option, common_options, output_option, pass_options
 from daemon.durable import write_durable
 from daemon.errors import UsageError
 from daemon.reports.metrics import metrics_text, no_metrics_text
 from daemon.status.facts import collect_facts
-from daemon.status.verdict import judge, no_verdict
+from daemon.status.verdict import no_verdict
 
 
 @click.command(
@@ -35,7 +36,7 @@ def command(options: Options, at_utc: datetime | None, output: Path | None) -> N
         raise UsageError(msg)
     try:
         facts = collect_facts(options.config, options.state, at_utc or datetime.now(UTC))
-        text = metrics_text(facts, judge(facts))
+        text = metrics_text(facts, all_items(options.config, options.state, facts))
     except Exception as error:
         # Else the file would go on telling of the last good look.
         _write(output, no_metrics_text(no_verdict(error)))

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 
 import click
 
-from daemon.alarm.armed import alarm_item
+from daemon.alarm.armed import all_items
 from daemon.commands.options import (
     Options,
     at_option,
@@ -23,7 +23,7 @@ from daemon.errors import StoreError, UsageError
 from daemon.status.answers import answers
 from daemon.status.facts import Facts, collect_facts
 from daemon.status.item import Item, Level, worst
-from daemon.status.verdict import judge, no_verdict
+from daemon.status.verdict import no_verdict
 from daemon.store.datum_fields import datum_fields
 from daemon.store.json_fields import result_fields, target_fields
 from daemon.store.overview import TargetSummary
@@ -75,7 +75,7 @@ def command(
 
 def _look(options: Options, at_utc: datetime | None, *, as_json: bool) -> Level:
     facts = collect_facts(options.config, options.state, at_utc or datetime.now(UTC))
-    items = [*judge(facts), alarm_item(options.config, options.state, facts.now_utc)]
+    items = all_items(options.config, options.state, facts)
     if as_json:
         print_json(status_fields(facts, items))
     else:

@@ -6,9 +6,10 @@ import threading
 import time
 from datetime import UTC, datetime
 
+from daemon.alarm.armed import all_items
 from daemon.reports.metrics import metrics_text, no_metrics_text
 from daemon.status.facts import collect_facts
-from daemon.status.verdict import judge, no_verdict
+from daemon.status.verdict import no_verdict
 from daemon.web.settings import Settings
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
@@ -37,6 +38,6 @@ class Metrics:
         site = self._settings.site
         try:
             facts = collect_facts(site.config, self._settings.state, datetime.now(UTC))
-            return metrics_text(facts, judge(facts))
+            return metrics_text(facts, all_items(site.config, self._settings.state, facts))
         except Exception as error:  # noqa: BLE001 - whatever hides how the site is must be told
             return no_metrics_text(no_verdict(error))

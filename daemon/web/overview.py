@@ -10,12 +10,12 @@ from datetime import UTC, datetime
 from typing import Any
 
 from core.site import TargetRole
-from daemon.alarm.armed import alarm_item, armed_alarms
+from daemon.alarm.armed import all_items, armed_alarms
 from daemon.config.reading import Config
 from daemon.errors import StoreError
 from daemon.status.facts import Facts, collect_facts
 from daemon.status.item import Item, Level, worst
-from daemon.status.verdict import judge, no_verdict
+from daemon.status.verdict import no_verdict
 from daemon.store.chart_rows import MAIN
 from daemon.store.json_fields import result_fields
 from daemon.store.record_view import readings_named
@@ -81,7 +81,7 @@ class Overviews:
         named = {one.name: one.unit for one in config.reading} | named
         return {
             **head,
-            **_judged([*judge(facts), self._alarms()]),
+            **_judged(all_items(config, self._settings.state, facts)),
             "last": _last(facts),
             "points": _points(config, facts.last),
             "coverage": {"h24": _share(facts.coverage_24h), "d30": _share(facts.coverage_30d)},
@@ -91,9 +91,6 @@ class Overviews:
             "span": self._span(facts),
             "building": self._building(),
         }
-
-    def _alarms(self) -> Item:
-        return alarm_item(self._settings.site.config, self._settings.state, datetime.now(UTC))
 
     def _span(self, facts: Facts) -> dict[str, datetime] | None:
         if facts.first_slot_utc is None:
