@@ -22,6 +22,7 @@ def study_fields(study: Study) -> dict[str, Any]:
     return {
         "point": study.point,
         "axis": study.axis,
+        "excluded": study.excluded.to_dict(),
         "days": [_day(day) for day in study.days],
         "hours": len(study.hours),
         "hours_used": int(study.used.sum()),

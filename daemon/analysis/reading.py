@@ -25,7 +25,14 @@ def analyse_store(
     Raises UsageError for unknown names, WorkFailedError without a row, StoreError.
     """
     span = _span(store, since, until)
-    record = read_record(store.path, *span, point=asked.point, readings=asked.readings, tell=tell)
+    record = read_record(
+        store.path,
+        *span,
+        point=asked.point,
+        readings=asked.readings,
+        with_excluded=asked.with_excluded,
+        tell=tell,
+    )
     return study(record, asked, span, period_s)
 
 

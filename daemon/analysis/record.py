@@ -14,6 +14,7 @@ from core.results import Flag
 from core.site import TargetRole
 from daemon.errors import UsageError, WorkFailedError
 from daemon.store.columns import Columns, Tell, read_columns, target_roles
+from daemon.store.exclusion import ExcludedRows, Exclusion, read_exclusion
 from daemon.store.sensors import Sensor, sensor_columns, sensors_within
 from daemon.store.targets import values_of_targets
 from daemon.times import utc_array
@@ -35,16 +36,17 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """The rows of a point; a value only where a row is good."""
+    """The rows of a point; a value only where a row is good and not excluded."""
 
     point: str
     times_s: FloatArray
     """(rows,) seconds since 1970, UTC."""
     values_mm: FloatArray
-    """(rows, 2) x, y; NaN where the row is not good."""
+    """(rows, 2) x, y; NaN where the row is not good, or left out."""
     readings: FloatArray
     """(rows, channels); NaN where there is none."""
     channels: tuple[Channel, ...]
+    excluded: ExcludedRows
 
 
 def read_record(
@@ -54,19 +56,22 @@ def read_record(
     *,
     point: str = MAIN,
     readings: Sequence[str] = (),
+    with_excluded: bool = False,
     tell: Tell = lambda _done, _total: None,
 ) -> Record:
     """Read a point's rows and the readings named; without a name, those in degC.
 
+    What the quality ledger excludes is left out unless `with_excluded`.
     Raises UsageError for a name that is none, WorkFailedError without any row, StoreError.
     """
     _require_point(path, since, until, point)
     chosen = _channels(path, since, until, readings)
     sensors = [sensor for sensor in chosen if isinstance(sensor, Sensor)]
+    exclusion = read_exclusion(path, point, with_excluded=with_excluded)
     times, values, said = [], [], []
     for rows in read_columns(path, since, until, tell):
         times.append(utc_array(rows.values["slot_utc"]).astype("datetime64[s]").astype(np.float64))
-        values.append(_values(rows, point))
+        values.append(_values(rows, point, exclusion))
         by_sensor = sensor_columns(rows.values["readings"], sensors) if sensors else {}
         columns = [
             by_sensor[one.column] if isinstance(one, Sensor) else rows.values[CAMERAS[one]]
@@ -80,11 +85,18 @@ def read_record(
         Channel(one.name, one.unit) if isinstance(one, Sensor) else Channel(one, CELSIUS)
         for one in chosen
     )
-    return Record(point, np.concatenate(times), np.vstack(values), np.vstack(said), channels)
+    return Record(
+        point,
+        np.concatenate(times),
+        np.vstack(values),
+        np.vstack(said),
+        channels,
+        exclusion.found(),
+    )
 
 
-def _values(rows: Columns, point: str) -> FloatArray:
-    """(rows, 2) x, y of good rows."""
+def _values(rows: Columns, point: str, exclusion: Exclusion) -> FloatArray:
+    """(rows, 2) x, y of the good rows that stay."""
     if point == MAIN:
         flags, values = np.array(rows.values["flag"]), rows.numbers("x_mm", "y_mm")
     else:
@@ -92,7 +104,8 @@ def _values(rows: Columns, point: str) -> FloatArray:
         found = values_of_targets(rows.values["targets"], [point], keys)
         columns = np.array(list(found.values()), dtype=np.float64)
         flags, values = columns[0], columns[1:].T
-    return np.where((flags == Flag.GOOD)[:, None], values, np.nan)
+    kept = exclusion.keep(rows.values["slot_utc"], flags == Flag.GOOD)
+    return np.where(kept[:, None], values, np.nan)
 
 
 def _require_point(path: Path, since: datetime, until: datetime, point: str) -> None:

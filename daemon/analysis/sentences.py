@@ -16,8 +16,10 @@ from daemon.text import utc_text
 
 
 def sentences(study: Study, confidence: float) -> Iterator[str]:
-    """One line for each thing found, with its interval; then why a part is missing."""
+    """What was excluded; a line for each thing found, with its interval; why a part is missing."""
     percent = f"{100.0 * confidence:g} %"
+    if line := study.excluded.sentence():
+        yield line
     if study.thermal:
         yield from _thermal(study.thermal, study.channels, percent)
     if study.trend:

@@ -16,6 +16,7 @@ from core.analysis.trend import Difference, Trend, difference, trend_of
 from core.arrays import BoolArray, FloatArray
 from daemon.analysis.days import Day, days_of
 from daemon.analysis.record import MAIN, Channel, Record
+from daemon.store.exclusion import ExcludedRows
 
 LEAST_DAYS = 5.0
 """Days with hourly means below which nothing but the days' figures is given."""
@@ -48,6 +49,8 @@ class Asked:
     """After loading."""
     confidence: float = 0.95
     """Of all intervals but that of a prediction of creep, which is 90 %."""
+    with_excluded: bool = False
+    """Whether what the quality ledger excludes is taken in."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +64,7 @@ class Study:
     hours: Hours
     used: BoolArray
     """(hours,) those with all readings known, of which everything below is made."""
+    excluded: ExcludedRows
     thermal: Thermal | None = None
     trend: Trend | None = None
     steps: Steps | None = None
@@ -83,7 +87,8 @@ def study(record: Record, asked: Asked, span: tuple[datetime, datetime], period_
             f"{known_days:.1f} days with enough good rows: temperature, trend, steps and creep "
             f"need {LEAST_DAYS:g}"
         )
-        return Study(record.point, asked.axis, days, record.channels, hours, whole, notes=(note,))
+        known = record.point, asked.axis, days, record.channels, hours, whole, record.excluded
+        return Study(*known, notes=(note,))
     return _Analyst(record, asked, days, hours).study()
 
 
@@ -121,6 +126,7 @@ class _Analyst:
             self._record.channels,
             self._hours,
             self._used,
+            self._record.excluded,
             thermal,
             trend_of(times_s, values_mm, beside, confidence=confidence),
             steps,

@@ -17,6 +17,7 @@ from daemon.commands.options import (
     pass_options,
     span_options,
     utc_time,
+    with_excluded_option,
 )
 from daemon.commands.output import note, print_json, print_table, progress, say, shown_zone
 from daemon.commands.output_files import new_file, opened_table
@@ -84,6 +85,7 @@ def _times(
     metavar="FILE",
     help="A figure (.png, .svg) or the table of days (.csv).",
 )
+@with_excluded_option
 @span_options
 @json_option
 @common_options
@@ -97,14 +99,16 @@ def command(
     loaded: datetime | None,
     predict_days: tuple[float, ...],
     output: Path | None,
+    with_excluded: bool,
     since: datetime | None,
     until: datetime | None,
     as_json: bool,
 ) -> None:
     """Give days, temperature with lag, trend, steps, before and after an event, and creep.
 
-    Of good rows only. Everything but the days is fitted to hourly means with noise that remembers,
-    and has its interval. The figure needs the extra `plot`. docs/analysis.md explains each number.
+    Of good rows only, without what the quality ledger excludes. Everything but the days is fitted
+    to hourly means with noise that remembers, and has its interval. The figure needs the extra
+    `plot`. docs/analysis.md explains each number.
     """
     from daemon.analysis.fields import study_fields
     from daemon.analysis.reading import analyse_store
@@ -112,7 +116,10 @@ def command(
 
     suffix = _suffix(output)
     schedule = options.config.schedule
-    asked = Asked(point, axis, readings, shown_zone(), events, loaded, predict_days)
+    asked = Asked(
+        *(point, axis, readings, shown_zone(), events, loaded, predict_days),
+        with_excluded=with_excluded,
+    )
     with open_store_readonly(options.state) as store, progress(None, "reading rows") as steps:
         study = analyse_store(store, since, until, asked, schedule.period_s, steps.at)
     if output is not None:

@@ -14,6 +14,7 @@ from daemon.commands.options import (
     json_option,
     pass_options,
     span_options,
+    with_excluded_option,
 )
 from daemon.commands.output import print_json, print_table, say
 from daemon.commands.reference_options import reference_options, span_s
@@ -40,6 +41,7 @@ _MOST_LINES = 40
     metavar="SPAN",
     help="Look how much later the reference moves, up to this either way: 6h.",
 )
+@with_excluded_option
 @span_options
 @json_option
 @common_options
@@ -50,6 +52,7 @@ def command(
     zero: str,
     window_s: float,
     max_lag_s: float | None,
+    with_excluded: bool,
     since: datetime | None,
     until: datetime | None,
     as_json: bool,
@@ -65,7 +68,7 @@ def command(
     from daemon.reports.beside_reference import Settings, compare_with_reference
     from daemon.reports.reference import read_reference
 
-    wanted = Settings(window_s, Zero(zero), max_lag_s)
+    wanted = Settings(window_s, Zero(zero), max_lag_s, with_excluded)
     measured = read_reference(reference)
     with open_store_readonly(options.state) as store:
         found = compare_with_reference(store.path, measured, wanted, since, until)
@@ -74,6 +77,11 @@ def command(
             f"{reference}: no good row within {window_s:g} s of any of its times; check their "
             "zone, or give a longer --window"
         )
+        if any(one.excluded.rows for one in found):
+            msg = (
+                f"{reference}: the quality ledger excludes all good rows within {window_s:g} s of "
+                "its times; --with-excluded takes them in"
+            )
         raise WorkFailedError(msg)
     if as_json:
         print_json(
@@ -86,7 +94,13 @@ def command(
 
 def _fields(one: PointComparison) -> dict[str, Any]:
     found = None if one.found is None else one.found.to_dict()
-    return {"point": one.point, "axis": one.axis, "times": one.times, "comparison": found}
+    return {
+        "point": one.point,
+        "axis": one.axis,
+        "times": one.times,
+        "excluded": one.excluded.to_dict(),
+        "comparison": found,
+    }
 
 
 def _tell(one: PointComparison) -> None:

@@ -163,6 +163,10 @@ json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object, for programs."
 )
 
+with_excluded_option = click.option(
+    "--with-excluded", is_flag=True, help="Take in what the quality ledger excludes."
+)
+
 
 def tz_option(function: Function) -> Function:
     """Add `--tz ZONE`: times that people read and give are in this zone.

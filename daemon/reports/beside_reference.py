@@ -18,6 +18,8 @@ from daemon.errors import WorkFailedError
 from daemon.reports.figure import ReferenceMarks
 from daemon.reports.reference import Reference, read_reference
 from daemon.store.columns import Columns, read_columns
+from daemon.store.exclusion import ExcludedRows, Exclusion
+from daemon.store.ledger import read_ledger
 from daemon.store.targets import columns_of_target, stored_targets, values_of_targets
 from daemon.times import EPOCH, utc_array
 
@@ -33,6 +35,8 @@ class Settings:
     zero: Zero = Zero.FREE
     max_lag_s: float | None = None
     """None: no lag is sought."""
+    with_excluded: bool = False
+    """Whether what the quality ledger excludes is taken in."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +49,8 @@ class PointComparison:
     """Of the reference within the span."""
     found: Comparison | None
     """None where no good row is near any of its times."""
+    excluded: ExcludedRows
+    """Of the good rows near its times."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,13 +90,17 @@ def compare_with_reference(
 ) -> tuple[PointComparison, ...]:
     """Compare the good rows of a database with a reference, by point and axis.
 
-    Only times of the reference from `since` to `until` count. Raises StoreError, WorkFailedError
-    for a point that the rows near it do not name.
+    Without those that the quality ledger excludes, unless the settings take them in. Only times of
+    the reference from `since` to `until` count. Raises StoreError, WorkFailedError for a point that
+    the rows near it do not name.
     """
     series = {key: _within(values, since, until) for key, values in reference.series.items()}
-    rows = _rows_near(
-        path, {key: mm for key, mm in series.items() if len(mm)}, settings, reference.name
-    )
+    entries = read_ledger(path)
+    exclusions = {
+        key: Exclusion(entries, key[0], with_excluded=settings.with_excluded) for key in series
+    }
+    asked = {key: mm for key, mm in series.items() if len(mm)}
+    rows = _rows_near(path, asked, settings, exclusions, reference.name)
     return tuple(
         PointComparison(
             *key,
@@ -104,6 +114,7 @@ def compare_with_reference(
             )
             if len(values)
             else None,
+            exclusions[key].found(),
         )
         for key, values in series.items()
     )
@@ -120,6 +131,7 @@ def _rows_near(
     path: Path,
     series: Mapping[tuple[str, str], TimedValues],
     settings: Settings,
+    exclusions: Mapping[tuple[str, str], Exclusion],
     reference: str,
 ) -> dict[tuple[str, str], TimedValues]:
     """Good rows within reach of any time of the reference, by point and axis."""
@@ -130,7 +142,7 @@ def _rows_near(
             if others:
                 known.update(target["name"] for target in _targets(rows))
             for key in series:
-                kept[key].append(_values(rows, *key))
+                kept[key].append(_values(rows, *key, exclusions[key]))
     if not others <= known:
         msg = (
             f'{reference}: no row near its times names the point "{min(others - known)}"; there '
@@ -169,8 +181,8 @@ def _targets(rows: Columns) -> Iterator[dict[str, Any]]:
         yield from stored_targets(text)
 
 
-def _values(rows: Columns, point: str, axis: str) -> FloatArray:
-    """(n, 3) time, value and sigma of the good rows of a point."""
+def _values(rows: Columns, point: str, axis: str, exclusion: Exclusion) -> FloatArray:
+    """(n, 3) time, value and sigma of the good rows of a point that stay."""
     if point == MAIN:
         flags = np.array(rows.values["flag"], dtype=np.float64)
         numbers = rows.numbers(f"{axis}_mm", f"sigma_{axis}_mm")
@@ -180,17 +192,21 @@ def _values(rows: Columns, point: str, axis: str) -> FloatArray:
         names = columns_of_target(point, (f"{axis}_mm", f"sigma_{axis}_mm"))
         numbers = np.array([found[name] for name in names], dtype=np.float64).T
     good = (flags == Flag.GOOD) & np.isfinite(numbers).all(axis=1)
+    kept = exclusion.keep(rows.values["slot_utc"], good)
     times_s = utc_array(rows.values["slot_utc"]).astype(np.int64) * 1e-6
-    return np.asarray(np.column_stack([times_s, numbers])[good])
+    return np.asarray(np.column_stack([times_s, numbers])[kept])
 
 
 def sentences(one: PointComparison) -> list[str]:
     """What one axis of one point comes to, in plain sentences."""
     what, found = f"{one.point} {one.axis}", one.found
+    excluded = [f"{what}: {line}"] if (line := one.excluded.sentence()) else []
     if found is None:
-        return [f"{what}: no good row near any of {one.times} times of the reference"]
+        why = f"{what}: no good row near any of {one.times} times of the reference"
+        return [*excluded, why]
     count = len(found.differences)
     lines = [
+        *excluded,
         f"{what}: {count} of {one.times} times of the reference have good rows near them",
         f"{what}: rows less reference: mean {found.bias_mm:+.3f} mm, {_zero_words(found)}",
         f"{what}: what is left of the differences: {found.rms_mm:.3f} mm rms",

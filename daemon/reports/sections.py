@@ -291,8 +291,9 @@ def ledger(entries: Sequence[LedgerEntry], history: History, words: Words) -> It
     )
     if history.months_without:
         yield Text(
-            "All other figures of this report are with the excluded spans. Good rows of the main "
-            "target by month without them, mm:"
+            "The analysis and the comparison with a reference are without the excluded spans, all "
+            "other figures of this report are with them. Good rows of the main target by month "
+            "without them, mm:"
         )
         rows = [(one.name, one.rows, *_month_cells(one)) for one in history.months_without]
         yield table(("month", "rows", *_OF_MONTH), rows, range(1, 6))

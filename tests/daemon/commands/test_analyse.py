@@ -121,6 +121,39 @@ def test_the_table_of_days_and_the_figure_are_files(analyse: Analyse, tmp_path: 
     assert figure.read_bytes().startswith(b"\x89PNG")
 
 
+def test_what_the_ledger_excludes_is_left_out_and_counted(ctl: Ctl, tmp_path: Path) -> None:
+    config, state = tmp_path / "dcam.toml", tmp_path / "state"
+    config.write_text(SIMULATED + "\n[schedule]\nperiod_s = 300\n")
+    site = ("--config", config, "--state", state)
+    made = thinned(make(Bridge(days=2.0, lost=0.0), 4), 5)
+    hour_s = BEGIN_S + 10.0 * 3600.0
+    inside = (made.times_s >= hour_s) & (made.times_s < hour_s + 3600.0)
+    write_record(state, replace(made, y_mm=np.where(inside, 9.0, made.y_mm)))
+    first_day = made.times_s < BEGIN_S + DAY_S
+    usual = made.y_mm[first_day & ~inside].max()
+    span = ("--since", "2026-03-01T10:00Z", "--until", "2026-03-01T11:00Z")
+    later = ("--since", "2027-03-01T10:00Z", "--until", "2027-03-01T11:00Z")
+    for when in (span, later):
+        ran = ctl(*site, "ledger", "exclude", *when, "--by", "Eve", "scaffold moved")
+        assert ran.code == 0, ran.err
+
+    def analysed(*arguments: str) -> Ran:
+        ran = ctl(*site, "analyse", *arguments)
+        assert ran.code == 0, ran.err
+        return ran
+
+    without, taken_in = json.loads(analysed("--json").out), analysed("--json", "--with-excluded")
+    assert without["days"][0]["max_mm"] == pytest.approx(usual, abs=1e-4)
+    assert without["excluded"] == {"rows": inside.sum(), "spans": 1, "left_out": True}
+    assert without["days"][0]["rows"] == (first_day & ~inside).sum()
+    everything = json.loads(taken_in.out)
+    assert everything["days"][0]["max_mm"] == pytest.approx(9.0, abs=1e-4)
+    assert everything["excluded"] == {"rows": inside.sum(), "spans": 1, "left_out": False}
+    said = f"quality ledger: {inside.sum()} good rows in 1 excluded span "
+    assert f"{said}left out\n" in analysed().out
+    assert f"{said}taken in\n" in analysed("--with-excluded").out
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [

@@ -87,6 +87,35 @@ def test_a_further_target_is_compared_by_its_name(site: Site, tmp_path: Path) ->
     assert 'names the point "mid"; there are main, quarter-span' in ran.err
 
 
+def test_what_the_ledger_excludes_does_not_move_the_bias(site: Site, tmp_path: Path) -> None:
+    begin = site.end
+    moved = Displacement(np.array([0.5, 9.0]), np.diag([0.01, 0.04]))
+    site.measure(2, replace(GOOD, corrected=moved))
+    span = ("--since", begin.isoformat(), "--until", site.end.isoformat())
+    site.measure(2)
+    middle = (begin + (site.end - begin) / 2).isoformat()
+    survey = reference(tmp_path, "time,y_mm,sigma_mm", f"{middle},-1.25,0.1")
+    compared = ("compare", "--reference", survey, "--zero", "fixed")
+    ran = site.ctl("ledger", "exclude", *span, "--by", "Eve", "scaffold moved")
+    assert ran.code == 0, ran.err
+
+    (y,) = json.loads(site.ctl(*compared, "--json").out)["points"]
+    assert y["comparison"]["bias_mm"] == pytest.approx(0.0)
+    assert y["excluded"] == {"rows": 2, "spans": 1, "left_out": True}
+    (y,) = json.loads(site.ctl(*compared, "--json", "--with-excluded").out)["points"]
+    assert y["comparison"]["bias_mm"] > 1.0
+    assert y["excluded"] == {"rows": 2, "spans": 1, "left_out": False}
+    said = "main y: quality ledger: 2 good rows in 1 excluded span"
+    assert f"{said} left out\n" in site.ctl(*compared).out
+    assert f"{said} taken in\n" in site.ctl(*compared, "--with-excluded").out
+
+    everything = ("--since", "2026-01-01T00:00Z", "--until", "2027-01-01T00:00Z")
+    assert site.ctl("ledger", "exclude", *everything, "--by", "Eve", "loose").code == 0
+    ran = site.ctl(*compared)
+    assert (ran.code, ran.out) == (1, "")
+    assert "--with-excluded takes them in" in ran.err
+
+
 @pytest.mark.parametrize(
     ("lines", "said"),
     [

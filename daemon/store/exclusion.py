@@ -1,0 +1,70 @@
+"""Leaving out of a point's good rows what the quality ledger excludes, and counting it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from core.arrays import BoolArray
+from daemon.store.ledger import MAIN_POINT, LedgerEntry, excluded_spans, read_ledger
+from daemon.times import utc_array
+
+
+@dataclass(frozen=True, slots=True)
+class ExcludedRows:
+    """How many good rows of a point the quality ledger excludes."""
+
+    rows: int = 0
+    spans: int = 0
+    """Excluded spans that hold at least one of these rows."""
+    left_out: bool = True
+    """Or taken in, as was asked."""
+
+    def to_dict(self) -> dict[str, int | bool]:
+        """For `--json`."""
+        return {"rows": self.rows, "spans": self.spans, "left_out": self.left_out}
+
+    def sentence(self) -> str:
+        """What became of them, or nothing where there are none."""
+        if not self.rows:
+            return ""
+        rows = f"{self.rows} good row{'s' * (self.rows != 1)}"
+        spans = f"{self.spans} excluded span{'s' * (self.spans != 1)}"
+        return f"quality ledger: {rows} in {spans} {'left out' if self.left_out else 'taken in'}"
+
+
+class Exclusion:
+    """Which good rows of a point stay; rows come in any number of batches, each row once."""
+
+    def __init__(
+        self, entries: Sequence[LedgerEntry], point: str = MAIN_POINT, *, with_excluded: bool
+    ) -> None:
+        spans = excluded_spans(entries, point)
+        limits = [[when.replace(tzinfo=None) for when in span] for span in spans]
+        self._limits = np.array(limits, dtype="datetime64[us]").reshape(-1, 2)
+        self._with_excluded = with_excluded
+        self._rows, self._spans = 0, set[int]()
+
+    def keep(self, slots: Sequence[str | None], good: BoolArray) -> BoolArray:
+        """(n,) the good rows that stay; slots (n,) as the database writes them, good (n,)."""
+        if not len(self._limits):
+            return good
+        times = utc_array(slots)
+        begins, ends = self._limits.T
+        number = np.searchsorted(begins, times, side="right") - 1  # the last that has begun
+        out = good & (number >= 0) & (times < ends[number])
+        self._rows += int(out.sum())
+        self._spans.update(number[out].tolist())
+        return good if self._with_excluded else good & ~out
+
+    def found(self) -> ExcludedRows:
+        """What was excluded of all rows so far."""
+        return ExcludedRows(self._rows, len(self._spans), not self._with_excluded)
+
+
+def read_exclusion(path: Path, point: str = MAIN_POINT, *, with_excluded: bool) -> Exclusion:
+    """What a database's ledger excludes of a point. Raises StoreError."""
+    return Exclusion(read_ledger(path), point, with_excluded=with_excluded)
