@@ -43,19 +43,24 @@ export const spanText = (span) =>
     ? `${span.text} (${t("until_time", { start: timeText(span.start), end: timeText(span.end) })})`
     : `${span.text} (${timeText(span.start)})`;
 
-/** Spans of one lane in a window, those closer than `near` seconds put together. */
-export const together = (spans, lane, since, until, near) => {
+const GRAVER = ["remark", "event", "datum", "gap", "flag-3", "excluded", "flag-4", "flag-9"];
+const graver = (a, b) => (GRAVER.indexOf(a) < GRAVER.indexOf(b) ? b : a);
+
+/** Spans of one lane in a window, those closer than `near` seconds put together: first those of one
+ * kind; while there are too many, neighbours of any kind, which are shown as the graver. */
+export const together = (spans, lane, since, until, near, mixed = false) => {
   const groups = [];
   for (const span of spans) {
     if (span.lane !== lane || span.end < since || span.start > until) continue;
     const last = groups.at(-1);
-    if (last && span.start - last.end < near && last.kind === span.kind) {
+    if (last && span.start - last.end < near && (mixed || last.kind === span.kind)) {
       last.end = Math.max(last.end, span.end);
       last.count += 1;
+      last.kind = graver(last.kind, span.kind);
       if (last.texts.length < 3 && !last.texts.includes(span.text)) last.texts.push(span.text);
     } else groups.push({ ...span, count: 1, texts: [span.text] });
   }
-  if (groups.length > MOST) return together(spans, lane, since, until, 2 * near + 1);
+  if (groups.length > MOST) return together(spans, lane, since, until, 2 * near + 1, true);
   return groups.map((group) => ({
     ...group,
     text: group.count === 1 ? group.text : t("several", { count: group.count, text: group.texts.join("; ") }),

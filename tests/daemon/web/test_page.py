@@ -50,6 +50,18 @@ panel => {
 """Where the first line of a figure was drawn: px from the top left of its axes, from the top."""
 
 
+MARKS_OF_MANY_RUNS = """
+async () => {
+  const { together } = await import("/static/spans.js");
+  const spans = Array.from({ length: 1000 }, (_, k) => ({
+    lane: "flag", kind: `flag-${3 + k % 2}`, start: 1000 * k, end: 1000 * k + 600,
+    text: k % 2 ? "bad: too_dark" : "suspect: hidden" }));
+  return together(spans, "flag", 0, 1e6, 9);
+}
+"""
+"""A suspect run and a bad one by turns, as clouds and a low sun make them over a year."""
+
+
 @pytest.fixture
 def visit(browser: Browser, served: Served) -> Iterator[Visit]:
     with visiting(browser, served.url, has_touch=True, **WIDE) as visit:
@@ -245,6 +257,14 @@ class TestFigure:
         expect(readout).to_contain_text(f"suspect: {SUSPECT.value}")
         visit.page.locator(".mark-excluded").focus()
         expect(readout).to_contain_text("exclude: plate painted (Eve)")
+
+    def test_hundreds_of_runs_of_two_flags_are_few_marks_that_say_both(self, visit: Visit) -> None:
+        visit.go("/events")
+        marks = visit.page.evaluate(MARKS_OF_MANY_RUNS)
+        assert 1 < len(marks) <= 60
+        assert sum(mark["count"] for mark in marks) == 1000
+        assert {mark["kind"] for mark in marks} == {"flag-4"}
+        assert all("suspect" in mark["text"] and "bad" in mark["text"] for mark in marks)
 
     def test_the_line_is_broken_in_a_gap(self, visit: Visit, served: Served) -> None:
         """Half the figure is a gap: nothing is drawn there but its shade."""
