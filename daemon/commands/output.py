@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import sys
-import textwrap
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -59,11 +58,25 @@ def say(text: str = "") -> None:
 def say_answer(word: str, text: str, colour: str) -> None:
     """Print an answer behind its word in at most 80 columns; the word in colour on a terminal."""
     indent = " " * _WORD
-    lines = textwrap.wrap(_readable(text), _ANSWER, initial_indent=indent, subsequent_indent=indent)
+    on_terminal = sys.stdout.isatty()
+    columns = min(_ANSWER, shutil.get_terminal_size().columns) if on_terminal else _ANSWER
+    width = columns - _WORD
+    lines = [f"{indent}{line}" for line in wrapped(_readable(text), width)] or [indent]
     shown = f"{word:<{_WORD}}"
-    if sys.stdout.isatty() and not os.environ.get("NO_COLOR"):
+    if on_terminal and not (os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"):
         shown = click.style(shown, fg=colour, bold=True)
     print("\n".join([shown + lines[0][_WORD:], *lines[1:]]).rstrip())
+
+
+def wrapped(text: str, width: int) -> list[str]:
+    """A text in lines of so many columns, with the letters that stdout has: some are wider."""
+    from rich.console import Console
+    from rich.text import Text
+
+    encoding, errors = sys.stdout.encoding, sys.stdout.errors or "strict"
+    written = text.encode(encoding, errors).decode(encoding, "replace")
+    lines = Text(written, overflow="fold").wrap(Console(width=width), width)
+    return [line.plain.rstrip() for line in lines]
 
 
 def note(text: str) -> None:

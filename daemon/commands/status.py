@@ -117,7 +117,8 @@ def print_status(facts: Facts, items: list[Item]) -> None:
     level = worst(items)
     wrong = {item.text: item for item in items if item.level is level and level is not Level.OK}
     summary = "; ".join(f"{item.name}: {item.text}" for item in wrong.values()) or items[0].text
-    say(f"DCAM {level.name} - {facts.site}: {summary} | {_figures(facts)}")
+    said = f"DCAM {level.name} - {facts.site}: {summary}".replace("|", "/")  # figures follow a bar
+    say(f"{said} | {_figures(facts)}")
     say()
     for answer in answers(facts, items):
         say_answer(answer.word, answer.text, COLOURS[answer.level])

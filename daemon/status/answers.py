@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -11,6 +12,24 @@ from daemon.status.item import Item, Level, worst
 from daemon.store.records import Coverage
 from daemon.text import bytes_text, displacement_text, span_text, utc_text, value_text
 
+_TODO = {
+    "measurement": "journalctl -u dcamd tells why",
+    "last good value": "dcam-ctl preview shows what the cameras see",
+    "daemon": "systemctl start dcamd",
+    "supervision": "journalctl -u dcamd tells more",
+    "cameras": "check power and cables, then dcam-ctl check --hardware",
+    "readings": "check the sensor and its cable",
+    "calibration": "dcam-ctl calibrate makes another",
+    "coverage 24 h": "dcam-ctl gaps tells why",
+    "coverage 30 d": "dcam-ctl gaps tells why",
+    "frames": "free some space",
+    "clock": "look at timedatectl",
+    "alarms": "dcam-ctl alarm list tells more",
+}
+"""What to do about a thing whose own line may not say it."""
+_SAYS_TODO = re.compile(
+    "dcam-ctl|journalctl|start dcamd|chronyc|calibrate again|free some space|none yet|clock wrong"
+)
 _YEARS_FROM = 1000
 """Days that are said as years from here on."""
 
@@ -36,7 +55,7 @@ def answers(facts: Facts, items: Sequence[Item]) -> Iterator[Answer]:
     yield from _value(facts, by_name)
     wrong = [item for item in items if item.level is not Level.OK]
     for word, item in zip(("wrong", *[""] * len(wrong)), wrong, strict=False):
-        yield Answer(word, f"{item.name}: {item.text}", item.level)
+        yield Answer(word, f"{item.name}: {_with_todo(item)}", item.level)
     if not wrong:
         yield Answer("wrong", "nothing")
     coverage = [by_name["coverage 24 h"], by_name["coverage 30 d"]]
@@ -50,6 +69,13 @@ def _measuring(facts: Facts, by_name: dict[str, Item]) -> Answer:
     if facts.last is None:
         return Answer("measuring", f"no row yet; daemon: {daemon.text}", worst([daemon, row]))
     age = span_text((facts.now_utc - facts.last.slot_utc).total_seconds())
+    cameras, says = by_name["cameras"], facts.daemon.says
+    if daemon.level is Level.OK and cameras.level is Level.CRITICAL:
+        return Answer("measuring", f"no, last slot {age} ago; {cameras.text}", cameras.level)
+    if daemon.level is Level.OK and says is not None and says.phase != "running":
+        return Answer(
+            "measuring", f"not now, last slot {age} ago; daemon: {daemon.text}", row.level
+        )
     if daemon.level is Level.OK and row.level is Level.OK:
         return Answer("measuring", f"yes, last slot {age} ago")
     word = "not known" if daemon.level is Level.UNKNOWN else "no"
@@ -58,18 +84,28 @@ def _measuring(facts: Facts, by_name: dict[str, Item]) -> Answer:
 
 
 def _value(facts: Facts, by_name: dict[str, Item]) -> Iterator[Answer]:
-    """The last row's values: main target, further points, and what fixed targets show."""
+    """The last good value: main target, further points, and what fixed targets show.
+
+    The last row is given where it is not good, too: it says why.
+    """
     if facts.last is None:
         return
-    when = utc_text(facts.last.slot_utc)
-    yield Answer("value", f"{value_text(facts.last.measurement)}, {when}")
-    for target in facts.targets:
-        now = target.now
+    shown = facts.last_good or facts.last
+    yield Answer("value", f"{value_text(shown.measurement)}, {utc_text(shown.slot_utc)}")
+    if shown is not facts.last:
+        yield Answer("", f"last row: {value_text(facts.last.measurement)}")
+    for now in shown.measurement.targets:
         if now.role is TargetRole.MEASURED and now.corrected is not None:
             yield Answer("", f"{now.name}: {displacement_text(now.corrected)}")
     closure = by_name.get("closure")
     if closure is not None and closure.level is Level.OK:
         yield Answer("", f"closure: {closure.text}")
+
+
+def _with_todo(item: Item) -> str:
+    """An item's line with what to do about it; many say it themselves."""
+    todo = _TODO.get(item.name)
+    return item.text if todo is None or _SAYS_TODO.search(item.text) else f"{item.text}; {todo}"
 
 
 def _share(coverage: Coverage) -> str:

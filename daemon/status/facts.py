@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from core.quality.residual_ratio import WINDOW_ROWS, median_residual_ratio, residual_ratio
+from core.results import Flag
 from core.rig.stability import budget_sentence, stability_terms
 from daemon.clock.machine import read_boot_id, uptime_s
 from daemon.clock.time_sync import clock_is_synchronised
@@ -94,6 +95,8 @@ class Facts:
     last: MeasurementRecord | None
     last_good_utc: datetime | None
     """Within 30 days before the last row."""
+    last_good: MeasurementRecord | None
+    """The row of that slot, in the record's zero."""
     calibration: ActiveCalibrationSummary | None
     residual_ratio: float | None
     """How much worse the corners fit than at calibration, over the last rows; None of too few."""
@@ -137,6 +140,7 @@ def collect_facts(config: Config, state: Path, now_utc: datetime) -> Facts:
         accounted, last = overview.accounted(), overview.last_row()
         calibration = overview.calibration()
         residual_ratio, slipped_utc = _continuity(overview, last, calibration)
+        last_good = _last_good(overview, last)
         note, until_utc = read_note(state), now_utc + timedelta(seconds=1)
         return Facts(
             site=config.name,
@@ -144,7 +148,8 @@ def collect_facts(config: Config, state: Path, now_utc: datetime) -> Facts:
             period_s=config.schedule.period_s,
             first_slot_utc=accounted[0] if accounted else None,
             last=last,
-            last_good_utc=overview.last_good_slot(last.slot_utc - MONTH) if last else None,
+            last_good_utc=last_good.slot_utc if last_good else None,
+            last_good=last_good,
             calibration=calibration,
             residual_ratio=residual_ratio,
             slipped_utc=slipped_utc,
@@ -167,6 +172,14 @@ def collect_facts(config: Config, state: Path, now_utc: datetime) -> Facts:
             sensors=tuple(section.name for section in config.reading),
             readings_failed=_readings_failed(overview, last),
         )
+
+
+def _last_good(overview: Overview, last: MeasurementRecord | None) -> MeasurementRecord | None:
+    """The newest good row of a month, which is mostly the last row."""
+    if last is None or last.measurement.flag is Flag.GOOD:
+        return last
+    slot_utc = overview.last_good_slot(last.slot_utc - MONTH)
+    return None if slot_utc is None else overview.row(slot_utc)
 
 
 def _readings_failed(overview: Overview, last: MeasurementRecord | None) -> dict[str, datetime]:

@@ -62,7 +62,8 @@ def judge(facts: Facts) -> list[Item]:
 def _measurement(facts: Facts) -> Item:
     name = "measurement"
     if facts.last is None:
-        return Item(name, Level.WARNING, "none yet; start dcamd")
+        todo = "wait for the first slot" if facts.daemon.running else "start dcamd"
+        return Item(name, Level.WARNING, f"none yet; {todo}")
     slot_utc = facts.last.slot_utc
     age_s = (facts.now_utc - slot_utc).total_seconds()
     text = f"{value_text(facts.last.measurement)}, {span_text(age_s)} ago ({utc_text(slot_utc)})"

@@ -127,8 +127,15 @@ class Overview:
 
     def last_row(self) -> MeasurementRecord | None:
         """The row of the latest slot that has one, in the record's zero."""
-        query = "SELECT * FROM measurement ORDER BY slot_utc DESC LIMIT 1"
-        found = whole_rows(self._connection, "measurement", query)
+        return self._row("ORDER BY slot_utc DESC LIMIT 1")
+
+    def row(self, slot_utc: datetime) -> MeasurementRecord | None:
+        """The row of a slot, in the record's zero; None where it has none."""
+        return self._row("WHERE slot_utc = ?", slot_text(slot_utc))
+
+    def _row(self, which: str, *values: str) -> MeasurementRecord | None:
+        query = f"SELECT * FROM measurement {which}"  # noqa: S608 - our own words
+        found = whole_rows(self._connection, "measurement", query, *values)
         if not found:
             return None
         record = measurement_record(found[0])

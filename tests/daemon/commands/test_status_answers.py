@@ -8,13 +8,15 @@ import re
 import signal
 import subprocess
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
+from rich.cells import cell_len
 
 from daemon.lock import sole_writer
 from daemon.store.records import GapCause
-from tests.daemon.commands.conftest import DARK, Ctl, Site
-from tests.daemon.commands.terminals import ROOT, environment, program
+from tests.daemon.commands.conftest import DARK, MINUTE, Ctl, Site
+from tests.daemon.commands.terminals import ASCII_LOCALE, ROOT, environment, on_pipe, program
 from tests.waiting import PATIENCE_S
 
 WORDS = ["measuring", "last good", "value", "wrong", "complete", "disk"]
@@ -120,3 +122,67 @@ def test_a_name_of_any_length_keeps_to_80_columns(site: Site) -> None:
     text = site.config.read_text()
     site.config.write_text(re.sub(r'name = "[^"]*"', f'name = "{"bridge-" * 30}"', text, count=1))
     assert list(answers(site.ctl("status", "--at", site.end.isoformat()).out)) == WORDS
+
+
+def test_the_value_is_the_last_good_one_though_night_has_come(site: Site) -> None:
+    site.measure(200, DARK)
+    with sole_writer(site.state):
+        found = answers(site.ctl("status", "--at", site.end.isoformat()).out)
+    assert found["value"] == (
+        "x +0.500 ± 0.100 mm, y -1.250 ± 0.200 mm, 2026-03-01T00:09:00Z "
+        "last row: no value (bad: too_dark)"
+    )
+    assert "dcam-ctl preview" in found["wrong"]
+
+
+def test_a_camera_that_was_lost_a_moment_ago_measures_nothing(site: Site) -> None:
+    site.measure(200)
+    site.miss(2, GapCause.CAMERA_LOST)
+    with sole_writer(site.state):
+        found = answers(site.ctl("status", "--at", site.end.isoformat()).out)
+    assert found["measuring"].startswith("no, last slot 3 min ago; camera_lost")
+    assert "check power and cables" in found["wrong"]
+
+
+def test_who_has_started_dcamd_is_not_asked_to_start_it(ctl: Ctl, tmp_path: Path) -> None:
+    fresh = Site(tmp_path, ctl)
+    fresh.calibrate()
+    with sole_writer(fresh.state):
+        found = answers(fresh.ctl("status").out)
+    assert "measurement: none yet; wait for the first slot" in found["wrong"]
+    assert "start dcamd" not in found["wrong"]
+
+
+@pytest.mark.parametrize("locale", [{}, ASCII_LOCALE], ids=["utf-8", "ascii"])
+def test_wide_letters_keep_to_80_columns(site: Site, locale: dict[str, str]) -> None:
+    """A sign of two columns, and in ASCII a sigma's sign of three."""
+    why = "缆线断了 " * 12 + "± " * 40
+    last = site.end
+    site.end += MINUTE
+    site.write(
+        lambda store: store.record_gap(last, last, GapCause.CAMERA_LOST, why, period_s=60) or None
+    )
+    command = (
+        "--config",
+        site.config,
+        "--state",
+        site.state,
+        "status",
+        "--at",
+        site.end.isoformat(),
+    )
+    out = on_pipe(program(*command), **locale).stdout.decode()
+    first, _, rest = out.partition("\n\n")
+    assert first.startswith("DCAM ")
+    block = rest.partition("\n\n")[0].splitlines()
+    assert "camera_lost" in " ".join(block)
+    assert max(map(cell_len, block)) <= 80, block
+
+
+def test_a_bar_in_a_name_does_not_begin_the_figures(site: Site) -> None:
+    text = site.config.read_text()
+    site.config.write_text(re.sub(r'name = "[^"]*"', 'name = "east | west"', text, count=1))
+    first = site.ctl("status", "--at", site.end.isoformat()).out.splitlines()[0]
+    said, figures = first.split("|")
+    assert "east / west" in said
+    assert figures.split()[0] == "age=60s"
