@@ -74,6 +74,10 @@ def done_slots(directory: Path) -> int:
     return len(re.findall("event=slot_done", (directory / "log").read_text()))
 
 
+SLOW = ("sh: no answer within 1 s", "no answer for 1 s")
+"""Whichever of the two that wait for it is first on a busy computer."""
+
+
 def rows(store: Store) -> list[MeasurementRecord]:
     return list(store.measurements())
 
@@ -133,7 +137,7 @@ def test_sensors_that_hang_cost_no_slot(tmp_path: Path, warm: Path) -> None:
         assert max(late) < 2.0
         causes = {one.name: one.cause for one in last.readings}
         assert causes["stuck"].startswith("no answer for")
-        assert causes["slow"] == "sh: no answer within 1 s"
+        assert causes["slow"] in SLOW
         failed = [event.detail for event in store.events(kind="reading_failed")]
         assert sorted(detail.partition(":")[0] for detail in failed) == ["slow", "stuck"]
     log = (tmp_path / "log").read_text()
