@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta
+from datetime import datetime
 
 from daemon.analysis.record import read_record
 from daemon.analysis.study import Asked, Study, study
-from daemon.errors import WorkFailedError
 from daemon.store.columns import Tell
 from daemon.store.database import Store
-from daemon.text import utc_text
+from daemon.store.recorded_span import recorded_span
 
 
 def analyse_store(
@@ -24,7 +23,7 @@ def analyse_store(
 
     Raises UsageError for unknown names, WorkFailedError without a row, StoreError.
     """
-    span = _span(store, since, until)
+    span = recorded_span(store, since, until)
     record = read_record(
         store.path,
         *span,
@@ -34,19 +33,3 @@ def analyse_store(
         tell=tell,
     )
     return study(record, asked, span, period_s)
-
-
-def _span(
-    store: Store, since: datetime | None, until: datetime | None
-) -> tuple[datetime, datetime]:
-    accounted = store.accounted()
-    if accounted is None:
-        msg = f"{store.path}: holds no slot yet; start dcamd, or name another --state"
-        raise WorkFailedError(msg)
-    first, end = accounted[0], accounted[1] + timedelta(seconds=1)
-    begin_utc, end_utc = max(since or first, first), min(until or end, end)
-    if begin_utc >= end_utc:
-        known = f"{utc_text(first)} to {utc_text(accounted[1])}"
-        msg = f"{store.path}: no slots in this span; there are slots from {known}"
-        raise WorkFailedError(msg)
-    return begin_utc, end_utc

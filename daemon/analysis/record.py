@@ -11,7 +11,7 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.results import Flag
-from core.site import TargetRole
+from core.site import MAIN, TargetRole
 from daemon.errors import UsageError, WorkFailedError
 from daemon.store.columns import Columns, Tell, read_columns, target_roles
 from daemon.store.exclusion import ExcludedRows, Exclusion, read_exclusion
@@ -19,8 +19,6 @@ from daemon.store.sensors import Sensor, sensor_columns, sensors_within
 from daemon.store.targets import values_of_targets
 from daemon.times import utc_array
 
-MAIN = "main"
-"""The main target among the points."""
 CAMERAS = {"main-camera": "main_temperature_c", "sub-camera": "sub_temperature_c"}
 """What the cameras say of their own temperatures, and its columns."""
 CELSIUS = "degC"

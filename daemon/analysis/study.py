@@ -14,8 +14,9 @@ from core.analysis.steps import Drift, Steps, find_steps, recent_drift
 from core.analysis.thermal import Thermal, temperature_response
 from core.analysis.trend import Difference, Trend, difference, trend_of
 from core.arrays import BoolArray, FloatArray
+from core.site import MAIN
 from daemon.analysis.days import Day, days_of
-from daemon.analysis.record import MAIN, Channel, Record
+from daemon.analysis.record import Channel, Record
 from daemon.store.exclusion import ExcludedRows
 
 LEAST_DAYS = 5.0

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import click
 
+from core.site import MAIN
 from daemon.commands.options import (
     Options,
     SuggestingGroup,
@@ -24,7 +25,6 @@ from daemon.commands.output import print_json, print_table, say
 from daemon.errors import UsageError
 from daemon.store.database import open_store, open_store_readonly
 from daemon.store.ledger import (
-    MAIN_POINT,
     LedgerEntry,
     LedgerKind,
     in_force,
@@ -138,7 +138,7 @@ def _span_command(kind: LedgerKind, text: str, example: str) -> None:
 
 
 def _require_known(options: Options, point: str) -> None:
-    known = [MAIN_POINT, *(extra.name for extra in options.config.target.extra)]
+    known = [MAIN, *(extra.name for extra in options.config.target.extra)]
     if point not in known:
         msg = f"--point {point}: the config has {', '.join(known)}"
         raise UsageError(msg)

@@ -13,16 +13,15 @@ import numpy as np
 from core.arrays import FloatArray
 from core.results import Flag
 from core.site import TargetRole
-from daemon.errors import WorkFailedError
 from daemon.reports.figure import GapSpan
 from daemon.reports.series import BINS, CAMERAS, Channel, Envelope, Points, Series
 from daemon.store.columns import Columns, Tell, read_columns, target_roles
 from daemon.store.database import Store
 from daemon.store.ledger import Span, excluded_spans, is_excluded, read_ledger
+from daemon.store.recorded_span import recorded_span
 from daemon.store.records import Coverage, GapRecord
 from daemon.store.sensors import Sensor, sensor_columns, sensors_within
 from daemon.store.targets import columns_of_target, values_of_targets
-from daemon.text import utc_text
 from daemon.times import EPOCH, utc_array
 
 MOST_POINTS = 2 * BINS
@@ -135,7 +134,7 @@ def read_history(
     `without_excluded` leaves what the quality ledger excludes out of the series. Raises StoreError,
     WorkFailedError if nothing is there.
     """
-    since_utc, until_utc = _span(store, since, until)
+    since_utc, until_utc = recorded_span(store, since, until)
     coverage = store.coverage(since_utc, until_utc, period_s=period_s, offset_s=offset_s)
     roles = target_roles(store.path, since_utc, until_utc)
     drawn_targets = [name for name, role in roles.items() if role == TargetRole.MEASURED]
@@ -189,22 +188,6 @@ def _readings(rows: Columns, sensors: Sequence[Sensor]) -> FloatArray:
     columns = sensor_columns(rows.values["readings"], sensors)
     said = [np.array(columns[sensor.column], dtype=np.float64)[:, None] for sensor in sensors]
     return np.hstack([cameras, *said])
-
-
-def _span(
-    store: Store, since: datetime | None, until: datetime | None
-) -> tuple[datetime, datetime]:
-    accounted = store.accounted()
-    if accounted is None:
-        msg = f"{store.path}: holds no slot yet; start dcamd, or name another --state"
-        raise WorkFailedError(msg)
-    first_utc = max(since or accounted[0], accounted[0])
-    end_utc = min(until or accounted[1] + timedelta(seconds=1), accounted[1] + timedelta(seconds=1))
-    if first_utc >= end_utc:
-        known = f"{utc_text(accounted[0])} to {utc_text(accounted[1])}"
-        msg = f"{store.path}: no slots in this span; there are slots from {known}"
-        raise WorkFailedError(msg)
-    return first_utc, end_utc
 
 
 class Summary:

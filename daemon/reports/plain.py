@@ -10,8 +10,9 @@ from typing import Any, TextIO
 import numpy as np
 
 from core.results import Flag
+from core.site import MAIN
 from daemon.reports.slot_table import SlotTable
-from daemon.store.ledger import ALL_POINTS, MAIN_POINT
+from daemon.store.ledger import ALL_POINTS
 
 DECIMALS = {"mm": 4, "c": 2}
 """A tenth of a micrometre, a hundredth of a degree, by the unit that a name ends in."""
@@ -19,7 +20,7 @@ _MOST_DIGITS = 6
 """Of readings, whose units are the site's."""
 
 _VALUES = ("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm")
-MAIN_POINTS = {MAIN_POINT, ALL_POINTS}
+MAIN_POINTS = {MAIN, ALL_POINTS}
 """What the ledger calls the main target."""
 _WORDS = {int(flag): flag.name.lower() for flag in Flag}
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from core.arrays import BoolArray
-from daemon.store.ledger import MAIN_POINT, LedgerEntry, excluded_spans, read_ledger
+from core.site import MAIN
+from daemon.store.ledger import LedgerEntry, excluded_spans, read_ledger
 from daemon.times import utc_array
 
 
@@ -40,7 +41,7 @@ class Exclusion:
     """Which good rows of a point stay; rows come in any number of batches, each row once."""
 
     def __init__(
-        self, entries: Sequence[LedgerEntry], point: str = MAIN_POINT, *, with_excluded: bool
+        self, entries: Sequence[LedgerEntry], point: str = MAIN, *, with_excluded: bool
     ) -> None:
         spans = excluded_spans(entries, point)
         limits = [[when.replace(tzinfo=None) for when in span] for span in spans]
@@ -65,6 +66,6 @@ class Exclusion:
         return ExcludedRows(self._rows, len(self._spans), not self._with_excluded)
 
 
-def read_exclusion(path: Path, point: str = MAIN_POINT, *, with_excluded: bool) -> Exclusion:
+def read_exclusion(path: Path, point: str = MAIN, *, with_excluded: bool) -> Exclusion:
     """What a database's ledger excludes of a point. Raises StoreError."""
     return Exclusion(read_ledger(path), point, with_excluded=with_excluded)

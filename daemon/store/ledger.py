@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from core.arrays import BoolArray
+from core.site import MAIN
 from daemon.store.convert import stored_time
 from daemon.store.reading import whole_rows
 from daemon.store.sqlite import connect_readonly, said_plainly
 from daemon.times import utc_array
 
-MAIN_POINT = "main"
 ALL_POINTS = "all"
 
 
@@ -95,7 +95,7 @@ def in_force(entries: Sequence[LedgerEntry]) -> list[LedgerEntry]:
     return sorted(spans, key=lambda one: (str(one.since_utc), one.id))
 
 
-def excluded_spans(entries: Sequence[LedgerEntry], point: str = MAIN_POINT) -> list[Span]:
+def excluded_spans(entries: Sequence[LedgerEntry], point: str = MAIN) -> list[Span]:
     """The spans whose values of a point are left out: in order, none touching another."""
     spans: list[Span] = []
     for entry in in_force(entries):

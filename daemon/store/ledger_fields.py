@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 
-from daemon.store.ledger import MAIN_POINT, LedgerEntry, excluded_spans
+from core.site import MAIN
+from daemon.store.ledger import LedgerEntry, excluded_spans
 
 
 def entry_fields(entry: LedgerEntry, gone: Mapping[int, LedgerEntry]) -> dict[str, object]:
@@ -27,7 +28,7 @@ def entry_fields(entry: LedgerEntry, gone: Mapping[int, LedgerEntry]) -> dict[st
 
 def span_fields(entries: Sequence[LedgerEntry]) -> dict[str, list[dict[str, datetime]]]:
     """The merged excluded spans of each point that some entry names, and of the main target."""
-    points = dict.fromkeys([MAIN_POINT, *(one.point for one in entries if one.point)])
+    points = dict.fromkeys([MAIN, *(one.point for one in entries if one.point)])
     return {
         point: [
             {"since_utc": since, "until_utc": until}

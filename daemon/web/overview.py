@@ -9,14 +9,13 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
-from core.site import TargetRole
+from core.site import MAIN, TargetRole
 from daemon.alarm.armed import all_items, armed_alarms
 from daemon.config.reading import Config
 from daemon.errors import StoreError
 from daemon.status.facts import Facts, collect_facts
 from daemon.status.item import Item, Level, worst
 from daemon.status.verdict import no_verdict
-from daemon.store.chart_rows import MAIN
 from daemon.store.json_fields import result_fields
 from daemon.store.record_view import readings_named
 from daemon.store.records import Coverage, MeasurementRecord
