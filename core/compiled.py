@@ -23,7 +23,7 @@ import pickle
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from types import CodeType, FunctionType, ModuleType
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numba import njit
@@ -137,11 +137,26 @@ def kept_on_disk(**options: Any) -> Callable[[Loop], Loop]:
     return decorate
 
 
-compiled = kept_on_disk(
-    nogil=True,
-    error_model="numpy",
-    boundscheck=False,
-    fastmath={"contract", "reassoc", "nsz", "arcp"},
-)
-"""For all loops of core. Sums may be reordered, so that they run on vector units; NaN and infinity
-stay exact."""
+def part_of_loops(**options: Any) -> Callable[[Loop], Loop]:
+    """Give a decorator for what loops call: it becomes part of each, and is not kept by itself.
+
+    Left to itself, Numba has a callee twice, optimized alone and within its caller. A process that
+    compiles the caller runs the one, a process that reads the caller from the cache the other, and
+    the last digits of a sum differ: a row could not be made once more to the last bit.
+    """
+    return cast("Callable[[Loop], Loop]", njit(forceinline=True, **options))
+
+
+_OPTIONS = {
+    "nogil": True,
+    "error_model": "numpy",
+    "boundscheck": False,
+    "fastmath": {"contract", "reassoc", "nsz", "arcp"},
+}
+
+compiled = kept_on_disk(**_OPTIONS)
+"""For the loops of core that Python calls. Sums may be reordered, so that they run on vector units;
+NaN and infinity stay exact."""
+
+inner_loop = part_of_loops(**_OPTIONS)
+"""For what the loops of core call, and Python does not."""

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import erf
 
 from core.arrays import BoolArray, FloatArray
-from core.compiled import compiled
+from core.compiled import inner_loop
 from core.images import GreyImage
 
 MIN_PIXELS = 40
@@ -42,7 +42,7 @@ _ROUNDING_DN2 = 1.0 / 12.0
 """Variance of a grey value that was rounded to a whole number."""
 
 
-@compiled
+@inner_loop
 def solve_spd(matrix: FloatArray, vector: FloatArray, n: int) -> bool:
     """Solve in place by Cholesky; `vector` becomes the solution; False if not positive.
 
@@ -67,7 +67,7 @@ def solve_spd(matrix: FloatArray, vector: FloatArray, n: int) -> bool:
     return True
 
 
-@compiled
+@inner_loop
 def substitute(factor: FloatArray, vector: FloatArray, n: int) -> None:
     """Solve in place with the Cholesky factor that `solve_spd` leaves."""
     for i in range(n):
@@ -82,7 +82,7 @@ def substitute(factor: FloatArray, vector: FloatArray, n: int) -> None:
         vector[i] = total / factor[i, i]
 
 
-@compiled
+@inner_loop
 def edge(distance: float, blur: float) -> tuple[float, float, float]:
     """Edge profile erf(d / (sqrt 2 s)) and its derivatives by d and s.
 
@@ -110,7 +110,7 @@ def edge(distance: float, blur: float) -> tuple[float, float, float]:
     return value, bell, -bell * z
 
 
-@compiled
+@inner_loop
 def pixel_weight(miss: float, scale: float) -> float:
     """Full weight within 3 scale, beyond it that of Geman and McClure (1987); 1 when scale is 0."""
     if scale <= 0.0:
@@ -121,7 +121,7 @@ def pixel_weight(miss: float, scale: float) -> float:
     return 1.0 / (z * z * z * z)
 
 
-@compiled
+@inner_loop
 def reduce_to_shift(normal: FloatArray, information: FloatArray) -> bool:
     """Schur complement of the first two parameters in a lower normal matrix."""
     n = normal.shape[0]

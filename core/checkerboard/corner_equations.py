@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from core.arrays import FloatArray
-from core.compiled import compiled
+from core.compiled import inner_loop
 
 CORNER_PARAMETERS = 9
 """Of the model with slopes of the light."""
@@ -53,7 +53,7 @@ _B = (0.795552579, -0.383966197, 0.0835333061, -0.00976436898, 5.88163679e-4, -1
 _B0, _B1, _B2, _B3, _B4, _B5 = (np.float32(c) for c in _B)
 
 
-@compiled
+@inner_loop
 def _edge(distance: Any, per_blur: Any) -> tuple[Any, Any, Any]:
     """Edge profile erf(z / sqrt 2), its derivative by z, and z, the distance in blur widths."""
     z = min(max(distance * per_blur, -_FAR), _FAR)
@@ -63,7 +63,7 @@ def _edge(distance: Any, per_blur: Any) -> tuple[Any, Any, Any]:
     return rise, bell, z
 
 
-@compiled
+@inner_loop
 def accumulate(
     samples: FloatArray, count: int, c: FloatArray, normal: FloatArray, right: FloatArray
 ) -> tuple[float, float]:
@@ -149,7 +149,7 @@ def accumulate(
     return float(mm), float(effective_count)
 
 
-@compiled
+@inner_loop
 def accumulate_even(
     samples: FloatArray, count: int, c: FloatArray, normal: FloatArray, right: FloatArray
 ) -> float:
@@ -199,7 +199,7 @@ def accumulate_even(
     return float(mm)
 
 
-@compiled
+@inner_loop
 def flat_noise(samples: FloatArray, count: int, c: FloatArray, sides: FloatArray) -> None:
     """Sum up the pixels off both edges: sides (2, 3), x y < 0 first.
 
@@ -224,7 +224,7 @@ def flat_noise(samples: FloatArray, count: int, c: FloatArray, sides: FloatArray
         sides[side, 2] += miss * miss
 
 
-@compiled
+@inner_loop
 def _place(normal: FloatArray, row: int, values: tuple[Any, ...]) -> None:
     for column in range(CORNER_PARAMETERS):
         normal[row, column] = values[column]

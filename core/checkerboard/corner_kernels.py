@@ -19,7 +19,7 @@ from core.checkerboard.corner_equations import (
     flat_noise,
 )
 from core.checkerboard.light_kernels import BOX, fit_light_planes
-from core.compiled import compiled
+from core.compiled import compiled, inner_loop
 from core.grey_fit import MIN_PIXELS, solve_spd
 from core.images import PixelArray
 
@@ -49,7 +49,7 @@ _ZERO = np.float32(0.0)
 """In single precision, as the samples."""
 
 
-@compiled
+@inner_loop
 def _edges_in_px(m: FloatArray, c: FloatArray) -> None:
     """Put the map m (2, 5), in squares, into c[:10] in px, and its slopes in px into c[21:25]."""
     for axis in range(2):
@@ -59,7 +59,7 @@ def _edges_in_px(m: FloatArray, c: FloatArray) -> None:
         c[21 + 2 * axis], c[22 + 2 * axis] = m[axis, 0] * px, m[axis, 1] * px
 
 
-@compiled
+@inner_loop
 def _pack(
     p: FloatArray, blur: FloatArray, noise: FloatArray, saturation: float, slack: float,
     c: FloatArray,
@@ -81,12 +81,12 @@ def _pack(
         c[30 + k] = -blur[1 + k] / (p[BLUR] * p[BLUR])
 
 
-@compiled
+@inner_loop
 def _per(slope: float) -> float:
     return 1.0 / slope if abs(slope) > _LEAST_SLOPE else _MOST_REACH_PX
 
 
-@compiled
+@inner_loop
 def _gather_edges(
     image: PixelArray, at: FloatArray, half: float, c: FloatArray, limits: FloatArray,
     samples: FloatArray,
@@ -123,7 +123,7 @@ def _gather_edges(
     return count
 
 
-@compiled
+@inner_loop
 def _gather_flats(
     boxes: FloatArray, at: FloatArray, half: float, c: FloatArray, limits: FloatArray,
     samples: FloatArray, count: int,
@@ -149,7 +149,7 @@ def _gather_flats(
     return count
 
 
-@compiled
+@inner_loop
 def _start(samples: FloatArray, count: int, c: FloatArray, p: FloatArray) -> bool:
     """Start offset and gain from the mean of the bright and of the dark squares."""
     same = other = n_same = n_other = _ZERO
@@ -168,7 +168,7 @@ def _start(samples: FloatArray, count: int, c: FloatArray, p: FloatArray) -> boo
     return True
 
 
-@compiled
+@inner_loop
 def _information(factor: FloatArray, n: int, information: FloatArray) -> None:
     """What the last two rows of a Cholesky factor (n, n) say: the others' Schur complement."""
     a, b, d = factor[n - 2, n - 2], factor[n - 1, n - 2], factor[n - 1, n - 1]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
-from core.compiled import compiled
+from core.compiled import compiled, inner_loop
 
 _PARALLEL = 0.94
 """Cosine between an arm and an edge of the saddle that it leads to: 20 degrees, for edges that
@@ -105,7 +105,7 @@ def grow(
     return count
 
 
-@compiled
+@inner_loop
 def _same_way(arms: FloatArray, k: int, x: float, y: float) -> int:
     """The arm of saddle k that points most like (x, y)."""
     best, choice = -math.inf, 0

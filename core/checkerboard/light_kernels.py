@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from core.arrays import FloatArray
-from core.compiled import compiled
+from core.compiled import compiled, inner_loop
 from core.images import PixelArray
 
 BOX = 4
@@ -48,7 +48,7 @@ def box_means(image: PixelArray, out: FloatArray) -> None:
             out[row, i] = share * (line[at] + line[at + 1] + line[at + 2] + line[at + 3])
 
 
-@compiled
+@inner_loop
 def _quarter_mean(
     boxes: FloatArray, u: float, v: float, half_px: float, full: float, out: FloatArray
 ) -> bool:
@@ -77,7 +77,7 @@ def _quarter_mean(
     return bool(most <= full)
 
 
-@compiled
+@inner_loop
 def _fit_plane(parts: FloatArray, count: int, plane: FloatArray) -> tuple[float, float, float]:
     """Fit plane = (grey at the corner, its slopes by u and v) to parts (n, 4).
 
@@ -102,7 +102,7 @@ def _fit_plane(parts: FloatArray, count: int, plane: FloatArray) -> tuple[float,
     return gg - by_u * ug - by_v * vg, n, max(uu, vv) / det
 
 
-@compiled
+@inner_loop
 def fit_light_planes(
     boxes: FloatArray, at: FloatArray, m: FloatArray, gap_px: float, full: float,
     noise: FloatArray, parts: FloatArray, planes: FloatArray,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import FloatArray, IntArray
-from core.compiled import compiled
+from core.compiled import compiled, inner_loop
 from core.grey_fit import MIN_PIXELS, edge, pixel_weight, reduce_to_shift, solve_spd
 
 DISC_PARAMETERS = 12
@@ -28,7 +28,7 @@ Pixels = NDArray[Any]
 """(h, w) grey values: uint8, uint16 or float32."""
 
 
-@compiled
+@inner_loop
 def _disc_pixel(u: float, v: float, p: FloatArray, rows: FloatArray, at: int) -> float:
     """Model grey value of one pixel of a disc; its derivatives go into rows[:, at].
 
@@ -58,7 +58,7 @@ def _disc_pixel(u: float, v: float, p: FloatArray, rows: FloatArray, at: int) ->
     return float(p[5] + p[6] * u + p[7] * v + gain * inside)
 
 
-@compiled
+@inner_loop
 def _add_up(
     rows: FloatArray,
     miss: FloatArray,
@@ -80,7 +80,7 @@ def _add_up(
             normal[a, b] += total
 
 
-@compiled
+@inner_loop
 def _span(p: FloatArray, further_px: float, dv: float) -> tuple[float, float]:
     """Where the row dv below a disc's centre lies inside its outline grown by further_px.
 
@@ -99,7 +99,7 @@ def _span(p: FloatArray, further_px: float, dv: float) -> tuple[float, float]:
     return middle - half, middle + half
 
 
-@compiled
+@inner_loop
 def _lattice_step(every: int) -> int:
     """By how much the columns taken of one row lie beside those of the row above.
 
@@ -108,7 +108,7 @@ def _lattice_step(every: int) -> int:
     return max(1, int(_GOLDEN * every + 0.5))
 
 
-@compiled
+@inner_loop
 def _gather_disc(
     image: Pixels, at: FloatArray, p: FloatArray, reach_px: float, every: int, pixels: FloatArray
 ) -> int:
@@ -137,7 +137,7 @@ def _gather_disc(
     return count
 
 
-@compiled
+@inner_loop
 def _plausible(p: FloatArray, size: float) -> bool:
     """Whether the outline is still an ellipse, near where it was looked for, about as large."""
     if not p[2] + p[4] < 2.0 * size:
@@ -147,7 +147,7 @@ def _plausible(p: FloatArray, size: float) -> bool:
     return bool(abs(p[0]) + abs(p[1]) <= max(p[2], p[4]))
 
 
-@compiled
+@inner_loop
 def _hold_blur(p: FloatArray, normal: FloatArray, right: FloatArray) -> None:
     """Take the blur out of the equations where it would leave its bounds, else it drags the rest.
 
@@ -158,7 +158,7 @@ def _hold_blur(p: FloatArray, normal: FloatArray, right: FloatArray) -> None:
         normal[_BLUR, :], normal[_BLUR, _BLUR], right[_BLUR] = 0.0, 1.0, 0.0
 
 
-@compiled
+@inner_loop
 def _advance(
     normal: FloatArray, right: FloatArray, factor: FloatArray, step: FloatArray, p: FloatArray
 ) -> tuple[bool, float]:
@@ -186,7 +186,7 @@ def _advance(
     return True, moved_px
 
 
-@compiled
+@inner_loop
 def _equations(
     pixels: FloatArray, count: int, p: FloatArray, limits: FloatArray, rows: FloatArray,
     miss: FloatArray, weight: FloatArray, normal: FloatArray, right: FloatArray,
@@ -206,7 +206,7 @@ def _equations(
     _hold_blur(p, normal, right)
 
 
-@compiled
+@inner_loop
 def _room(state: FloatArray, reach_px: FloatArray) -> int:
     """Pixels that any of the discs may need."""
     most = 0.0

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import FloatArray, IntArray
-from core.compiled import compiled
+from core.compiled import compiled, inner_loop
 
 Grey = NDArray[np.float32]
 """(h, w) grey values, DN."""
@@ -69,7 +69,7 @@ def _block_peaks(grey: Grey, at: IntArray, most: Grey) -> None:
             most[block_v, block_u] = best
 
 
-@compiled
+@inner_loop
 def _is_first(most: Grey, v: int, u: int) -> bool:
     """Whether none of the four neighbours before a block is as bright."""
     here = most[v, u]
@@ -81,7 +81,7 @@ def _is_first(most: Grey, v: int, u: int) -> bool:
     )
 
 
-@compiled
+@inner_loop
 def _sort(values: Grey) -> None:
     """Sort 2^k values in place: a bitonic network, which has no branches that noise decides."""
     size = 2
@@ -100,7 +100,7 @@ def _sort(values: Grey) -> None:
         size <<= 1
 
 
-@compiled
+@inner_loop
 def _first_dark(grey: Grey, u: int, v: int, least_dn: float, dark: Grey) -> None:
     """Sort the grey values (16,) where the ways out from a pixel fall no further.
 
@@ -122,7 +122,7 @@ def _first_dark(grey: Grey, u: int, v: int, least_dn: float, dark: Grey) -> None
     _sort(dark)
 
 
-@compiled
+@inner_loop
 def _surroundings(grey: Grey, u: int, v: int, darkest: Grey) -> float:
     """Median of the darkest values on the ways out from a pixel; darkest (16,) is room for them."""
     last_v, last_u = grey.shape[0] - 1, grey.shape[1] - 1
@@ -172,7 +172,7 @@ def find_peaks(grey: Grey, least_dn: float, noise_dn: float) -> FloatArray:
     return np.asarray(_peaks_among(grey, at, most, about, least_dn, noise_dn))
 
 
-@compiled
+@inner_loop
 def _follow(grey: Grey, level: float, u: int, v: int, us: IntArray, vs: IntArray) -> int:
     """Follow the border clockwise from a pixel above the level whose right neighbour is not.
 
@@ -201,7 +201,7 @@ def _follow(grey: Grey, level: float, u: int, v: int, us: IntArray, vs: IntArray
         count += 1
 
 
-@compiled
+@inner_loop
 def _outer_border(
     grey: Grey, level: float, u: int, v: int, us: IntArray, vs: IntArray
 ) -> tuple[int, int]:
@@ -234,7 +234,7 @@ def _outer_border(
     return 0, taken
 
 
-@compiled
+@inner_loop
 def _ellipse(us: IntArray, vs: IntArray, count: int, region: FloatArray) -> bool:
     """Ellipse with the second moments of a border's inside; False where it is not like one."""
     area, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -278,7 +278,7 @@ def _ellipse(us: IntArray, vs: IntArray, count: int, region: FloatArray) -> bool
     return near > _ON_OUTLINE * count
 
 
-@compiled
+@inner_loop
 def _sharpness(grey: Grey, us: IntArray, vs: IntArray, count: int) -> float:
     """Mean gradient along a border, DN/px."""
     total = 0.0

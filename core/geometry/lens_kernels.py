@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from core.arrays import FloatArray
-from core.compiled import compiled
+from core.compiled import compiled, inner_loop
 
 MOST_DISTORTION = 8
 """Coefficients of the longest model (rational); shorter ones are filled up with zeros."""
@@ -66,7 +66,7 @@ def perspective(
             by_lens[n, 1, 5 + k] = p[1] * terms[1, k]
 
 
-@compiled
+@inner_loop
 def by_intrinsics(by_lens: FloatArray, n: int, xd: float, yd: float) -> None:
     """d(px) by alpha, beta, gamma, mu, nu of point n."""
     for row in range(2):

@@ -1,8 +1,7 @@
 """The inner loops of the renderer: rays of a distorted lens, a checkerboard, discs on a plate.
 
 Every pixel is the mean of the scene under its response, exact where edges are straight over a few
-pixels: the share of an edge is tabulated, that of two that cross is an integral along both. All
-compiled code is in this file: Numba's cache would not see that a function elsewhere has changed.
+pixels: the share of an edge is tabulated, that of two that cross is an integral along both.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import FloatArray, IntArray
-from core.compiled import kept_on_disk
+from core.compiled import kept_on_disk, part_of_loops
 
 Float32Array = NDArray[np.float32]
 
@@ -28,6 +27,7 @@ SLOPES = 32
 """Steps from an edge along an image axis to a diagonal one."""
 
 compiled = kept_on_disk(nogil=True)
+inner_loop = part_of_loops(nogil=True)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
@@ -78,7 +78,7 @@ def undistorted_rays(
     return rays
 
 
-@compiled
+@inner_loop
 def _look(
     rays: Float32Array, R: FloatArray, centre: FloatArray, sheet: FloatArray, row: FloatArray
 ) -> None:  # pragma: no cover - compiled
@@ -106,7 +106,7 @@ def _look(
         row[u, 1] = centre[1] + along * dy
 
 
-@compiled
+@inner_loop
 def _at(table: FloatArray, x_px: float) -> float:  # pragma: no cover - compiled
     """Table value at a distance from the middle; the end values go on for ever."""
     at = x_px * PER_PX + (len(table) // 2)
@@ -118,7 +118,7 @@ def _at(table: FloatArray, x_px: float) -> float:  # pragma: no cover - compiled
     return float(table[k] + (at - k) * (table[k + 1] - table[k]))
 
 
-@compiled
+@inner_loop
 def edge_share(
     response: Response, edge: tuple[float, float, float]
 ) -> float:  # pragma: no cover - compiled
@@ -132,7 +132,7 @@ def edge_share(
     return near + (slope - k) * (_at(response.edges[k + 1], edge[0] / steep) - near)
 
 
-@compiled
+@inner_loop
 def wedge_share(
     response: Response, first: tuple[float, float, float], second: tuple[float, float, float]
 ) -> float:  # pragma: no cover - compiled
@@ -155,7 +155,7 @@ def wedge_share(
     return 1.0 - corner - _beside(response, u0, v0, p) - _beside(response, v0, u0, q)
 
 
-@compiled
+@inner_loop
 def _beside(
     response: Response, u0: float, v0: float, slope: float
 ) -> float:  # pragma: no cover - compiled
@@ -172,7 +172,7 @@ def _beside(
     return half * total
 
 
-@compiled
+@inner_loop
 def _slopes(
     above: FloatArray, here: FloatArray, below: FloatArray, u: int
 ) -> tuple[Slopes, Slopes]:  # pragma: no cover - compiled
@@ -190,7 +190,7 @@ def _slopes(
     return x_slopes, y_slopes
 
 
-@compiled
+@inner_loop
 def _cells(
     lines: FloatArray, guess: int, x: float, reach: float
 ) -> tuple[int, int]:  # pragma: no cover - compiled
@@ -206,13 +206,13 @@ def _cells(
     return first, last
 
 
-@compiled
+@inner_loop
 def _dark(i: int, j: int, nx: int, ny: int) -> float:  # pragma: no cover - compiled
     """1.0 for a black square, 0.0 for a white one and beyond the board."""
     return 1.0 if 1 <= i <= nx and 1 <= j <= ny and (i + j) % 2 == 0 else 0.0
 
 
-@compiled
+@inner_loop
 def _darkness(
     response: Response,
     x_lines: FloatArray,
@@ -319,7 +319,7 @@ def add_discs(
                 out[v, u] += contrast * _disc_share(response, x, y, discs[d])
 
 
-@compiled
+@inner_loop
 def _disc_share(
     response: Response, x: Slopes, y: Slopes, disc: FloatArray
 ) -> float:  # pragma: no cover - compiled

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import os
+import pkgutil
 import resource
 import subprocess
 import sys
@@ -11,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+import core
 from core.compiled import kept_on_disk
 
 ROOT = Path(__file__).parents[2]
@@ -25,11 +28,11 @@ def add_one(number):
 print(add_one(1), sum(add_one.stats.cache_hits.values()))
 """
 CALLEE = """
-from core.compiled import kept_on_disk
+from core.compiled import part_of_loops
 
 INCREMENT = 1
 
-@kept_on_disk(nogil=True)
+@part_of_loops(nogil=True)
 def increment():
     return INCREMENT
 """
@@ -130,3 +133,25 @@ def test_a_full_disk_costs_the_keeping_only(program: Program) -> None:
     """A file may be made, and nothing written to it."""
     program.limit = 0
     assert program.run() == [2, 0]
+
+
+def test_what_loops_call_is_inlined_and_not_kept() -> None:
+    """Else a loop that was just compiled and one read from the cache differ in the last digits."""
+    names = [found.name for found in pkgutil.walk_packages(core.__path__, "core.")]
+    modules = [importlib.import_module(name) for name in (*names, "drivers.sim.kernels")]
+    loops = {
+        value.py_func.__qualname__: value
+        for module in modules
+        for value in vars(module).values()
+        if hasattr(value, "py_func")
+    }
+    assert len(loops) > 40
+    called = {
+        name: loop.py_func.__globals__[name]
+        for loop in loops.values()
+        for name in loop.py_func.__code__.co_names
+        if hasattr(loop.py_func.__globals__.get(name), "py_func")
+    }
+    assert len(called) > 20
+    apart = [name for name, callee in called.items() if "forceinline" not in callee.targetoptions]
+    assert not apart
