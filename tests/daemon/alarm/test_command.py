@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 import os
 import sys
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import timedelta
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
@@ -19,79 +17,15 @@ from daemon.clock.machine import read_boot_id, uptime_s
 from daemon.control.run_state import RunState, write_run_state
 from daemon.lock import sole_writer
 from daemon.store.records import Mark
-from tests.daemon.commands.conftest import GOOD, MINUTE, SIMULATED, START, Ran, Site
-
-
-class Inbox:
-    """Where messages arrive: a program of the site's own appends each to a file."""
-
-    def __init__(self, directory: Path) -> None:
-        self._file = directory / "inbox"
-        self._program = directory / "modem.py"
-        self.accept()
-
-    @property
-    def command(self) -> str:
-        return json.dumps([sys.executable, str(self._program)])
-
-    def accept(self) -> None:
-        write = f"open({str(self._file)!r}, 'a').write(sys.stdin.read() + '\\0')"
-        self._program.write_text(f"import sys; {write}\n")
-
-    def refuse(self) -> None:
-        self._program.write_text("import sys; sys.exit('no carrier')\n")
-
-    def messages(self) -> list[str]:
-        return self._file.read_text().split("\0")[:-1] if self._file.exists() else []
-
-    def titles(self) -> list[str]:
-        return [message.splitlines()[0] for message in self.messages()]
-
-
-class Mailbox:
-    """An HTTP server that Apprise's `json://` talks to."""
-
-    def __init__(self) -> None:
-        self.messages: list[dict[str, str]] = []
-        self.status = 200
-        box = self
-
-        class Handler(BaseHTTPRequestHandler):
-            def do_POST(self) -> None:
-                body = self.rfile.read(int(self.headers["Content-Length"]))
-                box.messages.append(json.loads(body))
-                self.send_response(box.status)
-                self.end_headers()
-
-            def log_message(self, *_words: object) -> None:
-                """Say nothing."""
-
-        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self.url = f"json://127.0.0.1:{self.server.server_port}"
+from tests.daemon.alarm.conftest import Program, WebServer, configure
+from tests.daemon.commands.conftest import GOOD, MINUTE, START, Ran, Site
 
 
 @pytest.fixture
-def mailbox() -> Iterator[Mailbox]:
-    """A receiver on the loopback network."""
-    box = Mailbox()
-    thread = threading.Thread(target=box.server.serve_forever)
-    thread.start()
-    yield box
-    box.server.shutdown()
-    box.server.server_close()
-    thread.join()
-
-
-@pytest.fixture
-def inbox(site: Site, tmp_path: Path) -> Inbox:
+def inbox(site: Site, program: Program) -> Program:
     """The site tells a program, which accepts."""
-    made = Inbox(tmp_path)
-    configure(site, f"command = {made.command}")
-    return made
-
-
-def configure(site: Site, alarm: str) -> None:
-    site.config.write_text(f"{SIMULATED}\n[alarm]\n{alarm}\n")
+    configure(site, f"command = {program.command}")
+    return program
 
 
 def test_a_test_without_anybody_to_tell_fails_and_says_what_to_set(site: Site) -> None:
@@ -123,7 +57,7 @@ def test_without_receivers_one_line_and_all_is_well(site: Site) -> None:
 
 
 def test_a_dead_daemon_is_reported_once_again_while_it_lasts_and_when_it_is_over(
-    site: Site, inbox: Inbox
+    site: Site, inbox: Program
 ) -> None:
     configure(site, f"command = {inbox.command}\nrepeat_h = 0.5")
     die(site)
@@ -154,7 +88,7 @@ def test_a_dead_daemon_is_reported_once_again_while_it_lasts_and_when_it_is_over
     assert inbox.titles()[2:] == ["dcam bench: all well again"]
 
 
-def test_a_daemon_that_hangs_and_data_that_stopped_are_reported(site: Site, inbox: Inbox) -> None:
+def test_a_daemon_that_hangs_and_data_that_stopped_are_reported(site: Site, inbox: Program) -> None:
     state = RunState(os.getpid(), read_boot_id(), "1.0", "", "running", patience_s=300.0)
     write_run_state(site.state, replace(state, reported_s=uptime_s() - 3600))
     for late in (30 * MINUTE, 45 * MINUTE):
@@ -165,7 +99,7 @@ def test_a_daemon_that_hangs_and_data_that_stopped_are_reported(site: Site, inbo
     assert "measurement: critical since" in message
 
 
-def test_what_passes_in_time_is_not_reported(site: Site, inbox: Inbox) -> None:
+def test_what_passes_in_time_is_not_reported(site: Site, inbox: Program) -> None:
     die(site)
     look(site, running=False)
     site.measure(10)
@@ -176,7 +110,7 @@ def test_what_passes_in_time_is_not_reported(site: Site, inbox: Inbox) -> None:
 
 
 def test_a_warning_is_reported_only_where_the_config_says_so_and_once_more_if_it_gets_worse(
-    site: Site, inbox: Inbox
+    site: Site, inbox: Program
 ) -> None:
     site.measure(200, GOOD, frame=None)  # a warning
     look(site)
@@ -192,37 +126,37 @@ def test_a_warning_is_reported_only_where_the_config_says_so_and_once_more_if_it
 
 
 def test_a_message_that_is_refused_is_reported_on_stderr_and_sent_at_the_next_look(
-    site: Site, inbox: Inbox
+    site: Site, inbox: Program
 ) -> None:
     configure(site, f"command = {inbox.command}\nafter_min = 0")
     die(site)
-    inbox.refuse()
+    inbox.write("", before="sys.exit('no carrier')")
     for _ in range(2):
         ran = look(site, running=False)
         assert ran.code == 4
         (line,) = ran.err.splitlines()
         assert "alarm.command did not accept 'dcam bench: CRITICAL'" in line
         assert line.endswith("ended with code 1: no carrier")
-    inbox.accept()
+    inbox.write("")
     for _ in range(2):
         assert look(site, running=False).code == 0
     assert inbox.titles() == ["dcam bench: CRITICAL"]
 
 
 def test_of_two_receivers_only_the_one_that_refused_is_notified_again(
-    site: Site, inbox: Inbox, mailbox: Mailbox
+    site: Site, inbox: Program, web: WebServer
 ) -> None:
-    configure(site, f'urls = ["{mailbox.url}"]\ncommand = {inbox.command}\nafter_min = 0')
+    configure(site, f'urls = ["{web.url}"]\ncommand = {inbox.command}\nafter_min = 0')
     die(site)
-    mailbox.status = 503
+    web.status = 503
     assert look(site, running=False).code == 4
-    mailbox.status = 200
+    web.status = 200
     assert look(site, running=False).code == 0
     assert inbox.titles() == ["dcam bench: CRITICAL"]
-    assert [message["title"] for message in mailbox.messages] == ["dcam bench: CRITICAL"] * 2
+    assert web.titles() == ["dcam bench: CRITICAL"]
 
 
-def test_a_broken_memory_is_reported_and_begun_again(site: Site, inbox: Inbox) -> None:
+def test_a_broken_memory_is_reported_and_begun_again(site: Site, inbox: Program) -> None:
     configure(site, f"command = {inbox.command}\nafter_min = 0")
     die(site)
     for garbage in (b"", b"{", b"[]", b'{"since": {"daemon": 7}}', b"\xff"):
@@ -234,7 +168,7 @@ def test_a_broken_memory_is_reported_and_begun_again(site: Site, inbox: Inbox) -
 
 
 def test_a_disk_that_refuses_the_memory_is_reported_once_per_boot(
-    site: Site, inbox: Inbox, tmp_path: Path, monkeypatch
+    site: Site, inbox: Program, tmp_path: Path, monkeypatch
 ) -> None:
     """A directory stands where the memory belongs: not even root can write a file over it."""
     configure(site, f"command = {inbox.command}\nafter_min = 0")
@@ -257,7 +191,7 @@ def test_a_disk_that_refuses_the_memory_is_reported_once_per_boot(
     assert list(runtime.iterdir()) == []
 
 
-def test_a_clock_that_is_set_back_neither_silences_nor_repeats(site: Site, inbox: Inbox) -> None:
+def test_a_clock_that_is_set_back_neither_silences_nor_repeats(site: Site, inbox: Program) -> None:
     die(site)
     look(site, running=False)
     site.measure(15)
@@ -281,7 +215,7 @@ def test_a_clock_that_is_set_back_neither_silences_nor_repeats(site: Site, inbox
     ],
 )
 def test_a_site_of_which_nothing_can_be_known_is_reported(
-    site: Site, inbox: Inbox, damage: Callable[[Site], object], reported: str
+    site: Site, inbox: Program, damage: Callable[[Site], object], reported: str
 ) -> None:
     """A database that is none, a config that is wrong: its [alarm] is read all the same."""
     damage(site)
@@ -304,7 +238,7 @@ def test_an_alarm_section_that_is_wrong_is_a_config_error(site: Site) -> None:
     assert "alarm.level" in ran.err
 
 
-def test_what_was_reported_is_still_known_while_nothing_can_be(site: Site, inbox: Inbox) -> None:
+def test_what_was_reported_is_still_known_while_nothing_can_be(site: Site, inbox: Program) -> None:
     """A config that is wrong for a while is reported; the dead daemon not once more after it."""
     configure(site, f"command = {inbox.command}\nafter_min = 0")
     die(site)
@@ -322,16 +256,16 @@ def test_what_was_reported_is_still_known_while_nothing_can_be(site: Site, inbox
 
 
 def test_a_trial_tells_who_accepted_it_whatever_the_site_is_like(
-    site: Site, inbox: Inbox, mailbox: Mailbox
+    site: Site, inbox: Program, web: WebServer
 ) -> None:
-    configure(site, f'urls = ["{mailbox.url}", "nonsense://x"]\ncommand = {inbox.command}')
+    configure(site, f'urls = ["{web.url}", "nonsense://x"]\ncommand = {inbox.command}')
     ran = site.ctl("alarm", "--test")
     assert ran.code == 4
     first, second, third = ran.err.splitlines()
     assert first.endswith("alarm.urls[0] (json) accepted 'dcam bench: test'")
     assert "alarm.urls[1] (nonsense) did not accept" in second
     assert third.endswith("alarm.command accepted 'dcam bench: test'")
-    (message,) = mailbox.messages
+    (message,) = web.messages
     assert message["title"] == "dcam bench: test"
     assert "Nothing is wrong" in message["message"]
     assert inbox.titles() == ["dcam bench: test"]
@@ -339,9 +273,9 @@ def test_a_trial_tells_who_accepted_it_whatever_the_site_is_like(
     assert site.ctl("alarm", "--test").code == 0
 
 
-def test_a_failure_names_its_cause_and_no_secret(site: Site, mailbox: Mailbox) -> None:
-    configure(site, f'urls = ["{mailbox.url}/?:token=hunter2"]')
-    mailbox.status = 503
+def test_a_failure_names_its_cause_and_no_secret(site: Site, web: WebServer) -> None:
+    configure(site, f'urls = ["{web.url}/?:token=hunter2"]')
+    web.status = 503
     ran = site.ctl("alarm", "--test")
     (line,) = ran.err.splitlines()
     assert "503" in line
