@@ -13,6 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+TimeArray = npt.NDArray[np.datetime64]
+"""Moments in UTC, of numpy, which knows no zone."""
 
 
 def slot_text(slot_utc: datetime) -> str:
@@ -39,7 +41,7 @@ def stamp_text(when: datetime) -> str:
     return when.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
 
 
-def utc_array(texts: Sequence[str | None]) -> npt.NDArray[np.datetime64]:
+def utc_array(texts: Sequence[str | None]) -> TimeArray:
     """(n,) of times as written here, to the microsecond; NaT for None."""
     plain = ["NaT" if text is None else text.removesuffix("Z") for text in texts]
     return np.array(plain, dtype="datetime64[us]")

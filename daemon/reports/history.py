@@ -12,16 +12,16 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.results import Flag
-from core.site import TargetRole
+from core.site import MAIN, TargetRole
 from daemon.reports.figure import GapSpan
 from daemon.reports.series import BINS, CAMERAS, Channel, Envelope, Points, Series
 from daemon.store.columns import Columns, Tell, read_columns, target_roles
 from daemon.store.database import Store
-from daemon.store.ledger import Span, excluded_spans, is_excluded, read_ledger
+from daemon.store.ledger import Span, excluded_spans, read_ledger, span_numbers
 from daemon.store.recorded_span import recorded_span
 from daemon.store.records import Coverage, GapRecord
 from daemon.store.sensors import Sensor, sensor_columns, sensors_within
-from daemon.store.targets import columns_of_target, values_of_targets
+from daemon.store.targets import columns_of_target, text_without_target, values_of_targets
 from daemon.times import EPOCH, utc_array
 
 MOST_POINTS = 2 * BINS
@@ -143,12 +143,17 @@ def read_history(
     channels = (*CAMERAS, *(Channel(sensor.name, sensor.unit) for sensor in sensors))
     names = drawn_targets, channels
     drawn = Points(*names) if fits else Envelope(since_utc, until_utc, *names)
-    excluded = excluded_spans(read_ledger(store.path))
+    entries = read_ledger(store.path)
+    excluded = excluded_spans(entries)
+    hidden = {
+        point: excluded_spans(entries, point) if without_excluded else []
+        for point in (MAIN, *drawn_targets)
+    }
     summary = Summary(roles, excluded)
     said = Readings(channels)
     for rows in read_columns(store.path, since_utc, until_utc, tell):
         readings = _readings(rows, sensors)
-        drawn.add(_left(rows, excluded) if without_excluded else rows, readings)
+        drawn.add(_without(rows, hidden), readings)
         summary.add(rows)
         said.add(readings)
     return History(
@@ -169,16 +174,19 @@ def read_history(
     )
 
 
-def _left(rows: Columns, excluded: Sequence[Span]) -> Columns:
-    """Rows as if those in the spans had no value of the main target."""
-    out = is_excluded(rows.values["slot_utc"], excluded).tolist()
-    if not any(out):
-        return rows
-    values = dict(rows.values)
-    for name in _OF_MAIN:
-        values[name] = [None if o else v for o, v in zip(out, values[name], strict=True)]
-    missing = int(Flag.MISSING)  # neither suspect nor withheld
-    values["flag"] = [missing if o else f for o, f in zip(out, values["flag"], strict=True)]
+def _without(rows: Columns, hidden: Mapping[str, Sequence[Span]]) -> Columns:
+    """Rows as if each point had no value in its hidden spans."""
+    times, values = utc_array(rows.values["slot_utc"]), dict(rows.values)
+    for point, spans in hidden.items():
+        out = np.flatnonzero(span_numbers(times, spans) >= 0).tolist()
+        columns = (*_OF_MAIN, "flag") if point == MAIN else ("targets",)
+        for name in columns if out else ():
+            column = values[name] = list(values[name])
+            for place in out:
+                if point != MAIN:
+                    column[place] = text_without_target(column[place], point)
+                else:  # a flag that is neither suspect nor withheld
+                    column[place] = int(Flag.MISSING) if name == "flag" else None
     return Columns(values)
 
 
@@ -217,7 +225,7 @@ class Summary:
         closures = rows.numbers(*(f"closure_{name}" for name in _VALUES))
         closed = np.isfinite(closures[:, 0])
         months = np.array([slot[:7] for slot in rows.values["slot_utc"]])
-        left_out = is_excluded(rows.values["slot_utc"], self._excluded)
+        left_out = span_numbers(slots_us.astype("datetime64[us]"), self._excluded) >= 0
         for name in dict.fromkeys(months.tolist()):
             marks = left_out[good & (months == name)].astype(np.int8)
             self._left_out.setdefault(name, array("b")).frombytes(marks.tobytes())

@@ -15,7 +15,7 @@ from core.arrays import BoolArray, FloatArray
 from core.results import Flag, Measurement
 from daemon.store.columns import Columns
 from daemon.store.targets import values_of_targets
-from daemon.times import utc_array
+from daemon.times import TimeArray, utc_array
 
 BINS = 2400
 """Of an envelope: two for each column of the picture's pixels, so that a peak stays where it is."""
@@ -23,7 +23,6 @@ BINS = 2400
 _VALUES = ("raw_x_mm", "raw_y_mm", "x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm")
 _MOTION = ("rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm")
 _CLOSURE = ("closure_x_mm", "closure_y_mm", "closure_sigma_x_mm", "closure_sigma_y_mm")
-TimeArray = npt.NDArray[np.datetime64]
 
 
 @dataclass(frozen=True, slots=True)

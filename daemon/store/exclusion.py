@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from core.arrays import BoolArray
 from core.site import MAIN
-from daemon.store.ledger import LedgerEntry, excluded_spans, read_ledger
+from daemon.store.ledger import LedgerEntry, excluded_spans, read_ledger, span_numbers
 from daemon.times import utc_array
 
 
@@ -43,20 +41,14 @@ class Exclusion:
     def __init__(
         self, entries: Sequence[LedgerEntry], point: str = MAIN, *, with_excluded: bool
     ) -> None:
-        spans = excluded_spans(entries, point)
-        limits = [[when.replace(tzinfo=None) for when in span] for span in spans]
-        self._limits = np.array(limits, dtype="datetime64[us]").reshape(-1, 2)
+        self._excluded = excluded_spans(entries, point)
         self._with_excluded = with_excluded
         self._rows, self._spans = 0, set[int]()
 
     def keep(self, slots: Sequence[str | None], good: BoolArray) -> BoolArray:
         """(n,) the good rows that stay; slots (n,) as the database writes them, good (n,)."""
-        if not len(self._limits):
-            return good
-        times = utc_array(slots)
-        begins, ends = self._limits.T
-        number = np.searchsorted(begins, times, side="right") - 1  # the last that has begun
-        out = good & (number >= 0) & (times < ends[number])
+        number = span_numbers(utc_array(slots), self._excluded)
+        out = good & (number >= 0)
         self._rows += int(out.sum())
         self._spans.update(number[out].tolist())
         return good if self._with_excluded else good & ~out

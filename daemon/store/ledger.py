@@ -6,7 +6,7 @@ Entries are only added. One that was wrong is taken back by another, which can b
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime
@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from core.arrays import BoolArray
+from core.arrays import IntArray
 from core.site import MAIN
 from daemon.store.convert import stored_time
 from daemon.store.reading import whole_rows
 from daemon.store.sqlite import connect_readonly, said_plainly
-from daemon.times import utc_array
+from daemon.times import TimeArray, utc_array
 
 ALL_POINTS = "all"
 
@@ -110,23 +110,28 @@ def excluded_spans(entries: Sequence[LedgerEntry], point: str = MAIN) -> list[Sp
     return spans
 
 
-def is_excluded(slots: Sequence[str | None], spans: Iterable[Span]) -> BoolArray:
-    """(n,) whether each slot, as the database writes it, lies in one of the spans."""
-    times = utc_array(slots)
-    within = np.zeros(len(times), dtype=np.bool_)
-    for since, until in spans:
-        begin, end = (np.datetime64(when.replace(tzinfo=None), "us") for when in (since, until))
-        within |= (times >= begin) & (times < end)
-    return within
+def span_numbers(times: TimeArray, spans: Sequence[Span]) -> IntArray:
+    """(n,) which of the spans holds each time (n,), UTC; -1 where none does.
+
+    The one place that says what a span takes in. Spans are in order and apart, as `excluded_spans`
+    gives them.
+    """
+    if not spans:
+        return np.full(len(times), -1, dtype=np.int64)
+    limits = [[when.replace(tzinfo=None) for when in span] for span in spans]
+    begins, ends = np.array(limits, dtype="datetime64[us]").T
+    last = np.searchsorted(begins, times, side="right") - 1  # the last that has begun
+    found: IntArray = np.where((last >= 0) & (times < ends[last]), last, -1)
+    return found
 
 
 def excluded_points(slots: Sequence[str], entries: Sequence[LedgerEntry]) -> list[str | None]:
     """Of each slot the points whose values are left out, joined by +; `all` is every one."""
-    found = [""] * len(slots)
+    found, times = [""] * len(slots), utc_array(slots)
     for entry in in_force(entries):
         if entry.kind is LedgerKind.EXCLUDE and entry.since_utc and entry.until_utc:
-            within = is_excluded(slots, [(entry.since_utc, entry.until_utc)])
-            for place in np.flatnonzero(within).tolist():
+            within = span_numbers(times, [(entry.since_utc, entry.until_utc)])
+            for place in np.flatnonzero(within >= 0).tolist():
                 names = {*found[place].split("+"), entry.point or ALL_POINTS} - {""}
                 found[place] = ALL_POINTS if ALL_POINTS in names else "+".join(sorted(names))
     return [names or None for names in found]

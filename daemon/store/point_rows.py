@@ -7,16 +7,17 @@ from __future__ import annotations
 
 import math
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+
+import numpy as np
 
 from core.results import Flag, Reason
 from daemon.store.datum import Datums, read_datums
-from daemon.store.ledger import Span, excluded_spans, ledger_entries
+from daemon.store.ledger import excluded_spans, ledger_entries, span_numbers
 from daemon.store.reading import fetch
 from daemon.store.records import BELIEVED, DatumMethod
 from daemon.store.runs import next_second
@@ -87,19 +88,13 @@ def point_rows(
             f" AND json_extract(one.value, '$.{axis}_mm') IS NOT NULL ORDER BY slot_utc"
         )
         found = fetch(connection, query, *limits, target)
-    found = _kept(found, excluded_spans(ledger_entries(connection), target))
+    spans = excluded_spans(ledger_entries(connection), target)
+    slots = np.array([row[0] for row in found], dtype="datetime64[s]")
+    found = [row for row, out in zip(found, span_numbers(slots, spans), strict=True) if out < 0]
     datums = read_datums(connection)
     trusted = [row for row in found if row[3] in TRUSTED]
     rows = tuple(_row(row, datums, target, axis) for row in trusted)
     return PointRows(rows, len(found) - len(rows))
-
-
-def _kept(found: Sequence[Any], spans: Sequence[Span]) -> list[Any]:
-    """The rows outside the spans; each begins with its Unix time."""
-    limits_s = [(since.timestamp(), until.timestamp()) for since, until in spans]
-    return [
-        row for row in found if not any(begin_s <= row[0] < end_s for begin_s, end_s in limits_s)
-    ]
 
 
 def reading_rows(

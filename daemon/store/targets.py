@@ -65,6 +65,12 @@ def stored_targets(text: str | None) -> list[dict[str, Any]]:
     return found
 
 
+def text_without_target(text: str | None, name: str) -> str:
+    """The column's text without one of its targets."""
+    left = [values for values in stored_targets(text) if values["name"] != name]
+    return json.dumps(left, separators=(",", ":"))
+
+
 def target_values(target: TargetMeasurement) -> dict[str, Any]:
     """A target's values by key, those that it does not have left out. Raises ValueError."""
     return {

@@ -12,8 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.results import Displacement
+from core.results import Displacement, Flag, TargetMeasurement
+from core.site import TargetRole
 from daemon.store.database import open_store
+from daemon.store.ledger import LedgerEntry, LedgerKind
 from daemon.store.records import MeasurementRecord
 from daemon.times import slot_text
 from tests.daemon.commands.conftest import GOOD, Ctl, Ran
@@ -127,6 +129,26 @@ def test_a_figure_hatches_or_leaves_out_what_is_excluded(ctl: Ctl, excluded, tmp
         assert "<!-- excluded -->" in sizes[name]
     assert _highest_label(sizes["with"]) > 5.0
     assert _highest_label(sizes["without"]) < 5.0
+
+
+def test_a_figure_leaves_out_what_is_excluded_of_one_point_only(
+    ctl: Ctl, bench: Path, state: Path, tmp_path: Path
+) -> None:
+    still = Displacement(np.zeros(2), np.eye(2) * 1e-4)
+    with open_store(state) as store:
+        for number, mm in enumerate((1.0, 9.0, 1.0)):
+            value = Displacement(np.array([0.0, mm]), np.eye(2) * 1e-4)
+            further = TargetMeasurement("span-2", TargetRole.MEASURED, Flag.GOOD, (), value, value)
+            row = replace(GOOD, corrected=still, raw=still, targets=(further,))
+            store.add_measurement(MeasurementRecord(slot(number), row, "hash", "1.0"))
+    where = "--config", bench / "dcam.toml", "--state", state
+    figure = tmp_path / "without.svg"
+    for point, shown in (("main", True), ("span-2", False)):
+        entry = LedgerEntry(LedgerKind.EXCLUDE, "Eve", slot(3), "paint", slot(1), slot(2), point)
+        with open_store(state) as store:
+            store.add_ledger_entry(entry)
+        assert ctl(*where, "plot", "--without-excluded", "--output", figure).code == 0
+        assert (_highest_label(figure.read_text()) > 5.0) is shown
 
 
 def _highest_label(svg: str) -> float:

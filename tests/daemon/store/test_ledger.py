@@ -17,10 +17,10 @@ from daemon.store.ledger import (
     LedgerKind,
     excluded_spans,
     in_force,
-    is_excluded,
     read_ledger,
+    span_numbers,
 )
-from daemon.times import slot_text
+from daemon.times import slot_text, utc_array
 from tests.daemon.store.examples import START, full_record, slot
 
 
@@ -55,8 +55,9 @@ def test_excluded_spans_are_merged_and_only_of_their_point(store: Store) -> None
     entries = read_ledger(store.path)
     assert excluded_spans(entries) == [(slot(2), slot(9)), (slot(12), slot(14))]
     assert excluded_spans(entries, "pier") == [(slot(2), slot(9)), (slot(20), slot(30))]
-    slots = [slot_text(slot(number)) for number in (1, 2, 8, 9, 13)]
-    assert is_excluded(slots, excluded_spans(entries)).tolist() == [False, True, True, False, True]
+    slots = utc_array([slot_text(slot(number)) for number in (1, 2, 8, 9, 13)])
+    assert span_numbers(slots, excluded_spans(entries)).tolist() == [-1, 0, 0, -1, 1]
+    assert span_numbers(slots, []).tolist() == [-1] * 5
 
 
 def test_what_is_taken_back_holds_no_more_until_that_is_taken_back(store: Store) -> None:
