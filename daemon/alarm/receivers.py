@@ -23,6 +23,8 @@ from urllib.parse import unquote
 from daemon.config.alarm import AlarmSection
 from daemon.errors import HardwareError
 from drivers.deadline import DeadlineExceededError, DeadlineThread
+from drivers.errors import MissingLibraryError
+from drivers.libraries import require_library
 
 DEADLINE_S = 60.0
 """For one receiver to accept one message."""
@@ -149,10 +151,11 @@ def _apprise_log() -> Iterator[_Complaints]:
 
 def _apprise() -> ModuleType:
     try:
-        import apprise
-    except ImportError:
-        msg = "apprise is not installed; pip install 'dcam[alarm]'"
-        raise NotAcceptedError(msg) from None
+        require_library("apprise", "message")
+    except MissingLibraryError as error:
+        raise NotAcceptedError(str(error)) from None
+    import apprise
+
     return apprise
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from datetime import UTC, tzinfo
 from pathlib import Path
 from typing import Any
@@ -12,23 +11,16 @@ import numpy as np
 from core.arrays import FloatArray
 from daemon.analysis.fields import moment
 from daemon.analysis.study import Study
-from drivers.errors import MissingLibraryError
+from drivers.libraries import require_library
 
 _VALUE, _TREND, _STEP, _BAND = "#0072b2", "#d55e00", "#009e73", "#9a9a9a"
-
-
-def require_matplotlib() -> None:
-    """Raise MissingLibraryError, which names the extra, unless matplotlib is there."""
-    if importlib.util.find_spec("matplotlib") is None:
-        msg = "no figures: matplotlib is not installed; pip install 'dcam[plot]'"
-        raise MissingLibraryError(msg)
 
 
 def draw_study(
     study: Study, title: str, path: Path, *, file_format: str, zone: tzinfo = UTC
 ) -> None:
     """Draw days above, and below them the hourly means less temperature with steps and trend."""
-    require_matplotlib()
+    require_library("matplotlib", "figure")
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 8), layout="constrained")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
 import json
 from datetime import datetime
@@ -16,6 +15,7 @@ from core.calibration.calibrate import CalibrationReport
 from daemon.durable import write_durable
 from daemon.text import utc_text
 from daemon.version import VERSION
+from drivers.libraries import has_library
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,7 +66,7 @@ def _pictures(figures: dict[str, Any]) -> list[tuple[list[str], str]]:
     Each panel is an SVG of its own: on a phone they stand below one another, with text that can be
     read.
     """
-    if importlib.util.find_spec("matplotlib") is None:
+    if not has_library("matplotlib"):
         return []
     from matplotlib.figure import Figure
 

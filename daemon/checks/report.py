@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 from collections.abc import Iterator
 from pathlib import Path
 
 from daemon.checks.finding import Finding
 from daemon.config.report import DIRECTORY, ReportSection
+from drivers.libraries import missing_library
 
 
 def check_report(settings: ReportSection, state: Path) -> Iterator[Finding]:
@@ -20,9 +20,8 @@ def check_report(settings: ReportSection, state: Path) -> Iterator[Finding]:
     if directory.exists() and not os.access(directory, os.W_OK | os.X_OK):
         text = f"{directory} cannot be written by this user: chown -R dcam:dcam {directory}"
         yield Finding("report", "warning", text)
-    elif importlib.util.find_spec("matplotlib") is None:
-        text = "monthly reports have no figure: install dcam's extra plot"
-        yield Finding("report", "warning", text)
+    elif lack := missing_library("matplotlib", "figure"):
+        yield Finding("report", "warning", f"monthly reports: {lack}")
     else:
         yield Finding("report", "ok", f"each finished month in {directory}{_last(directory)}")
 

@@ -23,6 +23,7 @@ from daemon.commands.output import note, print_json, print_table, progress, say,
 from daemon.commands.output_files import new_file, opened_table
 from daemon.errors import UsageError
 from daemon.store.database import open_store_readonly
+from drivers.libraries import require_library
 
 if TYPE_CHECKING:
     from daemon.analysis.days import Day
@@ -132,14 +133,12 @@ def command(
 
 def _suffix(output: Path | None) -> str:
     """What kind of file is wanted; looked at before the long work. Raises UsageError."""
-    from daemon.analysis.figure import require_matplotlib
-
     suffix = "" if output is None else output.suffix.lower()
     if output is not None and suffix not in {*FIGURES, ".csv"}:
         msg = f"--output {output}: name a file that ends in {', '.join(FIGURES)} or .csv"
         raise UsageError(msg)
     if suffix in FIGURES:
-        require_matplotlib()
+        require_library("matplotlib", "figure")
     return suffix
 
 

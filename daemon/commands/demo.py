@@ -30,7 +30,7 @@ from daemon.commands.status import print_status
 from daemon.config.reading import Installation, find_installation
 from daemon.devices import open_clock, open_simulated_rig
 from daemon.errors import UsageError, WorkFailedError
-from daemon.reports.figure import draw, require_matplotlib
+from daemon.reports.figure import draw
 from daemon.reports.history import gap_spans
 from daemon.reports.series import series_of
 from daemon.status.coverage import coverage_text
@@ -39,6 +39,7 @@ from daemon.store.database import Store, open_store, open_store_readonly
 from daemon.store.records import GapRecord, MeasurementRecord
 from daemon.text import span_text
 from drivers.errors import MissingLibraryError
+from drivers.libraries import require_library
 
 SLOTS = 72
 """A day of the demo's schedule."""
@@ -92,7 +93,7 @@ def command(output: Path | None) -> None:
 def can_draw() -> bool:
     """Tell whether a figure can be had; if not, say on stderr how to change that."""
     try:
-        require_matplotlib()
+        require_library("matplotlib", "figure")
     except MissingLibraryError as error:
         note(f"warning: {error}")
         return False

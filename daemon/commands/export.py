@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     default="csv",
     show_default=True,
     help="What to write; csv-plain is for spreadsheets: few columns, local time; arrow is a "
-    "stream. parquet and arrow need dcam's extra parquet, netcdf its own.",
+    "stream. parquet and arrow need pyarrow, which an installation does not bring: docs/outputs.md.",
 )
 @click.option(
     "--decimal",

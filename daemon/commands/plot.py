@@ -14,6 +14,7 @@ from daemon.commands.reference_options import reference_options
 from daemon.errors import UsageError
 from daemon.status.coverage import coverage_text
 from daemon.store.database import open_store_readonly
+from drivers.libraries import require_library
 
 SUFFIXES = (".png", ".svg")
 
@@ -49,16 +50,16 @@ def command(
 
     Of a long span the lowest and the highest value of each column of the picture are drawn, so that
     every peak shows. A reference is drawn over them with its expanded uncertainty (k = 2), in the
-    record's zero. The daemon may run meanwhile. Needs dcam's extra `plot`.
+    record's zero. The daemon may run meanwhile. Needs matplotlib.
     """
     from daemon.reports.beside_reference import read_beside
-    from daemon.reports.figure import draw, require_matplotlib
+    from daemon.reports.figure import draw
     from daemon.reports.history import gap_spans, read_history
 
     if output.suffix.lower() not in SUFFIXES:
         msg = f"--output {output}: name a file that ends in {' or '.join(SUFFIXES)}"
         raise UsageError(msg)
-    require_matplotlib()
+    require_library("matplotlib", "figure")
     schedule = options.config.schedule
     with open_store_readonly(options.state) as store, progress(None, "reading rows") as steps:
         history = read_history(

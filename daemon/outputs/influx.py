@@ -13,9 +13,9 @@ from daemon.config.outputs import InfluxSection
 from daemon.outputs.line_protocol import lines_of_row
 from daemon.outputs.output import NotTakenError
 from daemon.outputs.secret import read_secret
-from daemon.reports.files import require_library
 from daemon.store.arrivals import Arrival
 from daemon.text import visible
+from drivers.libraries import require_library
 
 CONNECT_S, ANSWER_S = 10.0, 30.0
 """How long to wait for a connection, and for each part of the answer."""
@@ -31,7 +31,7 @@ class InfluxOutput:
 
     def __init__(self, settings: InfluxSection, site: str) -> None:
         """Raises MissingLibraryError."""
-        require_library("urllib3", "influx", "InfluxDB")
+        require_library("urllib3", "InfluxDB")
         import urllib3
 
         self.history, self.batch = settings.history, settings.batch

@@ -19,9 +19,9 @@ from daemon.outputs.home_assistant import discovery
 from daemon.outputs.output import NotTakenError
 from daemon.outputs.row_fields import row_fields, slug
 from daemon.outputs.secret import read_secret
-from daemon.reports.files import require_library
 from daemon.store.arrivals import Arrival
 from daemon.store.json_fields import plain
+from drivers.libraries import require_library
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessageInfo
@@ -50,7 +50,7 @@ class MqttOutput:
 
     def __init__(self, settings: MqttSection, site: str, *, period_s: int) -> None:
         """Raises MissingLibraryError."""
-        require_library("paho", "mqtt", "MQTT")
+        require_library("paho", "MQTT", "paho-mqtt")
         self.history = settings.history
         self._settings, self._site, self._period_s = settings, site, period_s
         self._topic = settings.topic or f"dcam/{slug(site)}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, tzinfo
@@ -16,7 +15,7 @@ from core.arrays import FloatArray
 from daemon.reports.series import Series
 from daemon.text import span_text
 from daemon.zones import zone_name
-from drivers.errors import MissingLibraryError
+from drivers.libraries import require_library
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,13 +52,6 @@ class ReferenceMarks:
     """(n,) expanded uncertainty, k = 2."""
 
 
-def require_matplotlib() -> None:
-    """Raise MissingLibraryError, which says how to install it, unless matplotlib is there."""
-    if importlib.util.find_spec("matplotlib") is None:
-        msg = "no figure: matplotlib is not installed; pip install 'dcam[plot]'"
-        raise MissingLibraryError(msg)
-
-
 def draw(
     series: Series,
     gaps: Sequence[GapSpan],
@@ -74,7 +66,7 @@ def draw(
 
     `excluded` are spans that the quality ledger leaves out.
     """
-    require_matplotlib()
+    require_library("matplotlib", "figure")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
     from matplotlib.figure import Figure

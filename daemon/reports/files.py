@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -12,7 +11,7 @@ from daemon.store import column_meanings
 from daemon.store.columns import Columns
 from daemon.store.sensors import Sensor
 from daemon.version import VERSION
-from drivers.errors import MissingLibraryError
+from drivers.libraries import require_library
 
 _FEW_WORDS = ("reasons", "boot_id", "config_hash", "version", "role")
 """What the names of texts end in that are the same in many rows: they are written as numbers."""
@@ -24,7 +23,7 @@ def write_parquet(slots: SlotTable, path: Path, site: str | None = None) -> int:
     Units, meanings and the flags' words are in the metadata. Gives the number of rows. Raises
     MissingLibraryError, OSError.
     """
-    require_library("pyarrow", "parquet", "Parquet")
+    require_library("pyarrow", "Parquet")
     import pyarrow.parquet as pq
 
     schema = _schema(slots, site)
@@ -37,19 +36,12 @@ def write_arrow(slots: SlotTable, output: BinaryIO, site: str | None = None) -> 
 
     Gives the number of rows. Raises MissingLibraryError, OSError.
     """
-    require_library("pyarrow", "parquet", "Arrow")
+    require_library("pyarrow", "Arrow")
     import pyarrow as pa
 
     schema = _schema(slots, site)
     with pa.ipc.new_stream(output, schema) as stream:
         return _write(slots, schema, stream)
-
-
-def require_library(library: str, extra: str, what: str) -> None:
-    """Raise MissingLibraryError, which names the extra to install, unless a library is there."""
-    if importlib.util.find_spec(library) is None:
-        msg = f"no {what}: {library} is not installed; pip install 'dcam[{extra}]'"
-        raise MissingLibraryError(msg)
 
 
 def meaning_of(slots: SlotTable, name: str) -> column_meanings.Meaning:

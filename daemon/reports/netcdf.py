@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.results import Flag
-from daemon.reports.files import meaning_of, require_library
+from daemon.reports.files import meaning_of
 from daemon.reports.slot_table import SlotTable, kind_of_column
 from daemon.store import column_meanings
 from daemon.store.columns import BATCH
@@ -20,6 +20,7 @@ from daemon.store.sensors import is_reading
 from daemon.store.targets import target_of_column
 from daemon.times import utc_array
 from daemon.version import VERSION
+from drivers.libraries import require_library
 
 FLAGS = (Flag.GOOD, Flag.SUSPECT, Flag.BAD, Flag.MISSING)
 TIME_UNITS = "seconds since 1970-01-01 00:00:00 UTC"
@@ -41,7 +42,7 @@ def write_netcdf(
 
     Gives the number of rows. Raises MissingLibraryError, OSError.
     """
-    require_library("h5netcdf", "netcdf", "NetCDF")
+    require_library("h5netcdf", "NetCDF")
     import h5netcdf
 
     count = 0

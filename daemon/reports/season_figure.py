@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from core.arrays import FloatArray
-from daemon.reports.figure import CORRECTED, RAW, SUSPECT, TRUE, require_matplotlib
+from daemon.reports.figure import CORRECTED, RAW, SUSPECT, TRUE
+from drivers.libraries import require_library
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,7 +44,7 @@ def draw_season(rigs: Mapping[str, SeasonSeries], output: Path) -> None:
 
     Raises MissingLibraryError.
     """
-    require_matplotlib()
+    require_library("matplotlib", "figure")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
     from matplotlib.figure import Figure

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -25,6 +24,7 @@ from daemon.store.records import CalibrationRecord, DatumRecord, EventRecord
 from daemon.text import span_text
 from daemon.version import VERSION
 from daemon.zones import in_zone, zone_name, zone_text
+from drivers.libraries import has_library
 
 MOST_LINES = 200
 """Of gaps and events; the report says how many more there are, and which command lists them."""
@@ -67,8 +67,8 @@ def figure(
     config: Config, history: History, words: Words, beside: Beside | None, formats: Sequence[str]
 ) -> Iterator[Block]:
     """The figure of `plot`, as vectors."""
-    if importlib.util.find_spec("matplotlib") is None:
-        yield Text("No figure: install dcam's extra plot.")
+    if not has_library("matplotlib"):
+        yield Text("No figure: matplotlib is not installed.")
         return
     made = {"svg": b"", "pdf": b""}
     for file_format in formats:

@@ -7,7 +7,8 @@ import math
 import time
 from typing import Any
 
-from drivers.errors import MissingLibraryError, SensorError
+from drivers.errors import SensorError
+from drivers.libraries import require_library
 from drivers.sensors.modbus_url import ModbusAddress
 
 _PARITIES = {"none": "N", "even": "E", "odd": "O"}
@@ -26,11 +27,9 @@ _REFUSALS = {
 
 def load_pymodbus() -> tuple[Any, Any]:
     """Give pymodbus's clients and framings, its log silenced. Raises MissingLibraryError."""
-    try:
-        from pymodbus import FramerType, client
-    except ImportError:
-        msg = "no Modbus: pymodbus is not installed; pip install 'dcam[modbus]'"
-        raise MissingLibraryError(msg) from None
+    require_library("pymodbus", "Modbus")
+    from pymodbus import FramerType, client
+
     # What goes wrong is said once, by us.
     for name in ("pymodbus.logging", "pymodbus_internal"):
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
