@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     default="csv",
     show_default=True,
     help="What to write; csv-plain is for spreadsheets: few columns, local time; arrow is a "
-    "stream. parquet and arrow need pyarrow, which an installation does not bring: docs/outputs.md.",
+    "stream. parquet and arrow need pyarrow, which an installation does not bring.",
 )
 @click.option(
     "--decimal",
