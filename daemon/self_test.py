@@ -17,13 +17,12 @@ import numpy as np
 from core.calibration.calibrate import Method
 from daemon.calibration.run import calibrate_frames, views_in
 from daemon.commands.demo import SITE
-from daemon.commands.reprocess import jobs_in_set
 from daemon.config.reading import load_config
 from daemon.error_report import report
 from daemon.errors import WorkFailedError
+from daemon.reprocessing.frames import SetFrames, measure_alone
 from daemon.slots.measuring import ActiveCalibration
 from daemon.version import VERSION
-from drivers.frameset import read_frame_set
 from drivers.sim.frameset_writer import TRUTH_TABLE, FrameSetPlan, write_frame_set
 from drivers.sim.settings import SimSettings
 
@@ -48,9 +47,8 @@ def self_test(directory: Path) -> float:
     write_frame_set(frames, site, SimSettings(seed=SEED), PLAN)
     run = calibrate_frames(views_in(frames), site, Method.RIGID)
     calibration = ActiveCalibration(1, run.calibration)
-    rows = read_frame_set(frames)
     values = [
-        measure(()).measurement.corrected for _, measure in jobs_in_set(rows, site, calibration)
+        measure_alone(slot, site, calibration).corrected for slot in SetFrames((frames,)).slots()
     ]
     errors_mm = [
         np.abs(value.mm - true_mm).max() if value else math.inf

@@ -16,7 +16,7 @@ from datetime import UTC, datetime, timedelta
 from itertools import groupby
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
-from typing import Literal, cast, get_args
+from typing import Literal, Protocol, cast, get_args
 
 from core.images import GreyImage
 from drivers.errors import FrameSetError, ImageMissingError
@@ -29,6 +29,7 @@ __all__ = [
     "READING",
     "TABLE",
     "TEMPERATURES",
+    "FramePath",
     "FrameRole",
     "FrameSet",
     "FrameSetRow",
@@ -40,7 +41,9 @@ __all__ = [
     "parse_slot",
     "read_frame_set",
     "read_image",
+    "read_table",
     "readings_of",
+    "slots_of_rows",
     "write_table",
 ]
 
@@ -61,6 +64,20 @@ READING = "reading_"
 
 _READING_COLUMN = re.compile(rf"{READING}([a-z0-9-]{{1,32}})")
 _NO_EXTRA: Mapping[str, str] = MappingProxyType({})
+
+
+class FramePath(Protocol):
+    """A directory or a file of a frame set: a `Path`, or another thing with this much of it."""
+
+    @property
+    def name(self) -> str:
+        """The last part."""
+
+    def read_bytes(self) -> bytes:
+        """The file's content. Raises FileNotFoundError, OSError."""
+
+    def __truediv__(self, name: str) -> FramePath:
+        """What lies in it under this name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +132,7 @@ class FrameSet:
 
     def slots_of(self, *roles: FrameRole) -> tuple[tuple[FrameSetRow, ...], ...]:
         """Give the rows of these roles, those of one slot together, in time order."""
-        groups = groupby(self.rows_of(*roles), key=lambda row: row.slot_utc)
-        return tuple(tuple(rows) for _, rows in groups)
+        return tuple(slots_of_rows(self.rows_of(*roles)))
 
     def read(self, name: str) -> GreyImage:
         """Read one image by its name in the table. Raises FrameSetError."""
@@ -132,10 +148,15 @@ def read_frame_set(directory: Path) -> FrameSet:
     Raises FrameSetError: no table, missing column, bad time, unknown role, duplicate slot, two
     references, rows out of order ...; the message names file and line.
     """
-    path = directory / TABLE
     if not directory.is_dir():
         msg = f"{directory}: no such directory; give the directory of a frame set"
         raise FrameSetError(msg)
+    return FrameSet(directory, read_table(directory))
+
+
+def read_table(directory: FramePath) -> tuple[FrameSetRow, ...]:
+    """Read and check the table in a directory, wherever it is. Raises FrameSetError."""
+    path = directory / TABLE
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
@@ -147,10 +168,16 @@ def read_frame_set(directory: Path) -> FrameSet:
     except OSError as error:
         msg = f"{path}: cannot be read ({error.strerror}); check the file and its permissions"
         raise FrameSetError(msg) from None
-    return FrameSet(directory, tuple(_checked(path, _parse(path, text))))
+    return tuple(_checked(path, _parse(path, text)))
 
 
-def _parse(path: Path, text: str) -> Iterator[tuple[int, FrameSetRow]]:
+def slots_of_rows(rows: Iterable[FrameSetRow]) -> Iterator[tuple[FrameSetRow, ...]]:
+    """Give the rows of one slot together, in the order of the rows."""
+    for _, same in groupby(rows, key=lambda row: row.slot_utc):
+        yield tuple(same)
+
+
+def _parse(path: FramePath, text: str) -> Iterator[tuple[int, FrameSetRow]]:
     """Give the rows with their line numbers."""
     lines = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
@@ -174,7 +201,7 @@ def _parse(path: Path, text: str) -> Iterator[tuple[int, FrameSetRow]]:
         raise FrameSetError(msg) from None
 
 
-def _columns(path: Path, header: list[str] | None) -> list[str]:
+def _columns(path: FramePath, header: list[str] | None) -> list[str]:
     if not header:
         msg = f"{path}: empty; the first line must name the columns {HEADER}"
         raise FrameSetError(msg)
@@ -225,7 +252,7 @@ def _row(cell: dict[str, str]) -> FrameSetRow:
     )
 
 
-def _checked(path: Path, rows: Iterable[tuple[int, FrameSetRow]]) -> Iterator[FrameSetRow]:
+def _checked(path: FramePath, rows: Iterable[tuple[int, FrameSetRow]]) -> Iterator[FrameSetRow]:
     """Pass rows on while slots are unique and in order and there is one reference at most.
 
     Rows of one slot are one burst: their numbers rise, and they have one role.
@@ -370,7 +397,7 @@ def write_table(directory: Path, rows: Iterable[FrameSetRow]) -> None:
 # ---------------------------------------------------------------------------------- the images
 
 
-def read_image(path: Path) -> GreyImage:
+def read_image(path: FramePath) -> GreyImage:
     """Read an 8- or 16-bit greyscale PNG, whole and undamaged or not at all.
 
     Raises FrameSetError (ImageMissingError when the file is not there).

@@ -12,16 +12,16 @@ import numpy as np
 from core.results import Displacement
 from daemon.commands.options import Options
 from daemon.commands.output import note, progress
-from daemon.commands.reprocess import Job, chosen_calibration, jobs_in_set, jobs_kept
+from daemon.commands.reprocess import chosen_calibration
 from daemon.datum.chain import NOTHING, relinked
 from daemon.datum.choice import CONTRADICTION
 from daemon.datum.overlap import FEWEST, overlap_step
 from daemon.errors import UsageError, WorkFailedError
+from daemon.reprocessing.frames import KeptFrames, SetFrames, SlotFrames, measure_alone
 from daemon.slots.measuring import ActiveCalibration
 from daemon.store.database import NEVER, Store
 from daemon.store.datum_fields import offset_text
 from daemon.store.records import DatumMethod, DatumRecord
-from drivers.frameset import read_frame_set
 
 MOST_PAIRS = 24
 """Kept pairs that are measured; more than some tens change nothing."""
@@ -53,16 +53,17 @@ def adjusted(
         for number in (wanted.earlier_id, wanted.later_id)
     )
     near_utc = _reference_time(store, later)
-    one, other = (_jobs(options, calibration, wanted, near_utc) for calibration in (earlier, later))
-    with progress(len(one), "measuring with both") as steps:
+    site, slots = options.config.site(), _slots(options, wanted, near_utc)
+    with progress(len(slots), "measuring with both") as steps:
         measured = []
-        for (_, by_earlier), (_, by_later) in zip(one, other, strict=True):
-            measured.append((by_earlier(()).measurement, by_later(()).measurement))
+        for slot in slots:
+            by_earlier, by_later = (measure_alone(slot, site, one) for one in (earlier, later))
+            measured.append((by_earlier, by_later))
             steps.next()
     step, count = overlap_step(measured, wanted.earlier_id)
     if step is None or step.offset is None:
         msg = (
-            f"{count} of {len(one)} pairs are good by both calibrations, {FEWEST} are needed: "
+            f"{count} of {len(slots)} pairs are good by both calibrations, {FEWEST} are needed: "
             "name others with --since and --until, or --from"
         )
         raise WorkFailedError(msg)
@@ -89,16 +90,13 @@ def _reference_time(store: Store, calibration: ActiveCalibration) -> datetime:
     return made.created_utc
 
 
-def _jobs(
-    options: Options, calibration: ActiveCalibration, wanted: Wanted, near_utc: datetime
-) -> Sequence[Job]:
-    """The pairs to be measured, those next to the later reference."""
-    site = options.config.site()
+def _slots(options: Options, wanted: Wanted, near_utc: datetime) -> Sequence[SlotFrames]:
+    """The slots to be measured, those next to the later reference."""
     if wanted.directory is not None:
-        return list(jobs_in_set(read_frame_set(wanted.directory), site, calibration))
+        return list(SetFrames((wanted.directory,)).slots())
     since, until = wanted.since or near_utc - NEAR, wanted.until or near_utc + NEAR
-    kept = jobs_kept(options.state, site, calibration, since, min(until, NEVER))
-    return sorted(kept, key=lambda job: abs(job[0] - near_utc))[:MOST_PAIRS]
+    kept = KeptFrames(options.state, since, min(until, NEVER)).slots()
+    return sorted(kept, key=lambda slot: abs(slot.slot_utc - near_utc))[:MOST_PAIRS]
 
 
 def _require_agreement(

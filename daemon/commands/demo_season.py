@@ -16,11 +16,11 @@ from core.results import Displacement
 from core.site import Site
 from daemon.calibration.run import calibrate_frames, views_in
 from daemon.commands.output import print_table, progress, say
-from daemon.commands.reprocess import jobs_in_set
 from daemon.commands.simulate_site import season_plan, write_season_of
 from daemon.config.reading import load_config
 from daemon.errors import WorkFailedError
 from daemon.reports.season_figure import SeasonSeries, draw_season
+from daemon.reprocessing.frames import SetFrames, measure_alone
 from daemon.slots.measuring import ActiveCalibration
 from drivers.frameset import FrameSet, format_slot, read_frame_set
 
@@ -78,9 +78,9 @@ def _measured(directory: Path, site: Site) -> SeasonSeries:
     frames = read_frame_set(directory)
     calibration = calibrate_frames(views_in(directory), site, Method.RIGID).calibration
     slots, values = [], []
-    for slot_utc, measure in jobs_in_set(frames, site, ActiveCalibration(1, calibration)):
-        corrected = measure(()).measurement.corrected
-        slots.append(slot_utc)
+    for slot in SetFrames((directory,)).slots():
+        corrected = measure_alone(slot, site, ActiveCalibration(1, calibration)).corrected
+        slots.append(slot.slot_utc)
         values.append(_NO_VALUE if corrected is None else _value(corrected))
     mm, sigma_mm = np.moveaxis(np.array(values), 1, 0)
     return SeasonSeries(slots, mm, sigma_mm, _true_mm(directory, slots), _camera_c(frames))

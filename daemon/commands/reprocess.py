@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Sequence
+import os
+import shutil
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from datetime import datetime
-from functools import partial
 from pathlib import Path
-from typing import Protocol
+from tempfile import TemporaryFile
+from typing import Any, TextIO
 
 import click
 
 from core.calibration.calibrate import Calibration
 from core.errors import CalibrationError
-from core.quality.fixed_targets import HISTORY_ROWS, PastRow
 from core.results import Flag, Measurement
-from core.rig.learnt import Learnt
-from core.rig.stability import Moment
-from core.site import Site
 from daemon.commands.options import (
     Options,
     common_options,
@@ -26,56 +25,39 @@ from daemon.commands.options import (
     pass_options,
     span_options,
 )
-from daemon.commands.output import note, print_json, progress
+from daemon.commands.output import Steps, note, print_json, progress
 from daemon.commands.output_files import opened_table
 from daemon.config.reading import Config
 from daemon.errors import DatabaseMissingError, UsageError, WorkFailedError
 from daemon.reports.table import write_results
-from daemon.slots.learner import ComputedClosures, Learner
-from daemon.slots.measuring import (
-    ActiveCalibration,
-    PairFiles,
-    first_moment,
-    load_pairs,
-    measure,
-    read_pair,
-    row_moment,
-)
-from daemon.slots.row_history import RowHistory
+from daemon.reprocessing.chunks import CHUNK_SLOTS, Work
+from daemon.reprocessing.frames import Frames, KeptFrames, SeenSlot, frames_at
+from daemon.reprocessing.in_order import InOrder
+from daemon.reprocessing.parts import Parts
+from daemon.reprocessing.remote import is_url
+from daemon.reprocessing.running import WORTH_SHARING, seen_slots
+from daemon.slots.measuring import ActiveCalibration
 from daemon.store.database import NEVER, open_store_readonly
-from daemon.store.datum import in_record_zero
-from daemon.store.frames.archive import FrameArchive
 from daemon.store.json_fields import result_fields
 from daemon.store.records import CalibrationRecord, DatumRecord
 from daemon.times import EPOCH
-from drivers.frameset import FrameSet, FrameSetRow, read_frame_set
 
 Result = tuple[datetime, Measurement]
-
-
-class MeasureJob(Protocol):
-    """Measures a slot, given the rows before and what they taught."""
-
-    def __call__(self, past: Sequence[PastRow], learnt: Learnt | None = None) -> PastRow:
-        """Give the slot's row."""
-
-
-Job = tuple[datetime, MeasureJob]
-"""A slot, and how to measure it."""
 
 
 @click.command(
     "reprocess",
     epilog="\b\nExample:\n"
     "  dcam-ctl reprocess --from /data/march --output march.csv\n"
+    "  dcam-ctl reprocess --from s3://bridge/frames --scheduler tcp://host:8786 --output all.csv\n"
     "  dcam-ctl reprocess --since 24h --calibration 3 --output day.csv",
 )
 @click.option(
     "--from",
-    "directory",
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="DIR",
-    help="Measure the rows of role measure of a frame set; without it the frames that were kept.",
+    "place",
+    metavar="DIR|URL",
+    help="Measure the rows of role measure of a frame set, or of an archive of them (YYYY/MM/DD), "
+    "in a directory or at a URL that fsspec knows; without it the frames that were kept.",
 )
 @span_options
 @click.option(
@@ -85,16 +67,23 @@ Job = tuple[datetime, MeasureJob]
     metavar="ID",
     help="Use this calibration; default: the active one.",
 )
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Share the work among the workers of this dask scheduler: tcp://host:8786; `local`: a "
+    f"worker a core of this computer, the default from {WORTH_SHARING} slots on; `serial`: none.",
+)
 @output_option
 @json_option
 @common_options
 @pass_options
 def command(
     options: Options,
-    directory: Path | None,
+    place: str | None,
     since: datetime | None,
     until: datetime | None,
     calibration_id: int | None,
+    scheduler: str | None,
     output: Path | None,
     as_json: bool,
 ) -> None:
@@ -103,34 +92,76 @@ def command(
     Values are in the record's zero: the datum of the calibration is in them, see dcam-ctl datum.
     The database is only read. A missing or damaged image gives a line with its flag and reason.
     flag: 1 good, 3 suspect (value given, reason named), 4 bad (value withheld), 9 missing.
+
+    Results are the same to the last bit on one core and on many. A long run with --output that was
+    interrupted goes on where it was when it is started again.
     """
-    if directory is not None and (since or until):
+    if place is not None and (since or until):
         msg = "--since and --until choose kept frames; leave them out with --from"
         raise UsageError(msg)
     calibration = chosen_calibration(options.config, options.state, calibration_id)
     site = options.config.site()
-    jobs = (
-        list(jobs_in_set(read_frame_set(directory), site, calibration))
-        if directory is not None
-        else list(jobs_kept(options.state, site, calibration, since or EPOCH, until or NEVER))
+    frames: Frames = (
+        KeptFrames(options.state, since or EPOCH, until or NEVER)
+        if place is None
+        else frames_at(place)
     )
-    if not jobs:
-        msg = f"{directory or options.state}: no frames to measure there"
+    count, bursts = frames.counted()
+    if not count:
+        msg = f"{place or options.state}: no frames to measure there"
         raise WorkFailedError(msg)
-    results = []
-    sequence = RowHistory(calibration, site.quality)
-    past: deque[PastRow] = deque(maxlen=HISTORY_ROWS)
-    learner, closures = Learner(), ComputedClosures()
-    with progress(len(jobs), "measuring") as steps:
-        for slot_utc, measure_job in jobs:
-            alone = measure_job(past, learner.at(slot_utc, calibration, closures.hours))
-            measurement = sequence.judge(slot_utc, alone.measurement)
-            past.append(PastRow(alone.moment, measurement))
-            closures.add(past[-1])
-            results.append((slot_utc, in_record_zero(measurement, calibration.datum)))
-            steps.next()
+    directory = None if place and is_url(place) else Path(place or options.state).absolute()
+    work = Work(site, calibration, directory)
     targets = [extra.name for extra in site.extra_targets]
-    tell(results, calibration.id, output, targets, as_json=as_json)
+    in_order, counts = InOrder(site, calibration), Counter[Flag]()
+    rows: list[dict[str, Any]] = []
+    parts = Parts(output if _is_kept(output, count) else None)
+
+    def measured(seen: Iterable[SeenSlot], steps: Steps) -> Iterator[Result]:
+        for one in seen:
+            measurement = in_order.measurement(one)
+            counts[measurement.flag] += 1
+            if as_json:
+                rows.append(result_fields(one.slot_utc, measurement))
+            steps.next()
+            yield one.slot_utc, measurement
+
+    with (
+        _spooled(output, wanted=output is not None or not as_json) as table,
+        progress(count, "measuring") as steps,
+        seen_slots(work, frames, count, scheduler, parts, note) as seen,
+    ):
+        write_results(measured(seen, steps), table, targets=targets, bursts=bursts)
+    parts.remove()
+    if as_json:
+        fields = {"command": "reprocess", "calibration": calibration.id, "output": output}
+        print_json({**fields, "rows": rows})
+    if parts.found:
+        note(f"{parts.found} chunks of {CHUNK_SLOTS} slots were there from an interrupted run")
+    note(f"{counts.total()} rows with calibration {calibration.id}: {count_flags(counts)}")
+
+
+def _is_kept(output: Path | None, count: int) -> bool:
+    """Whether what is done is kept beside the output for a run that goes on."""
+    is_file = output is not None and (not output.exists() or output.is_file())
+    return is_file and count >= WORTH_SHARING
+
+
+@contextmanager
+def _spooled(output: Path | None, *, wanted: bool) -> Iterator[TextIO]:
+    """The output's table; what goes to stdout is written when all is measured."""
+    if not wanted:
+        with Path(os.devnull).open("w", encoding="utf-8") as nothing:
+            yield nothing
+    elif output is not None:
+        with opened_table(output) as table:
+            yield table
+    else:
+        with TemporaryFile("w+", encoding="utf-8", newline="") as spool:
+            yield spool
+            spool.seek(0)
+            with opened_table(None) as table:
+                shutil.copyfileobj(spool, table)
 
 
 def chosen_calibration(
@@ -175,87 +206,6 @@ def read_calibration(record: CalibrationRecord) -> Calibration:
         raise WorkFailedError(msg) from error
 
 
-def jobs_in_set(frames: FrameSet, site: Site, calibration: ActiveCalibration) -> Iterator[Job]:
-    """The slots of a frame set's `measure` rows, in order."""
-    for rows in frames.slots_of("measure"):
-        files = [_files(frames, row) for row in rows]
-        yield rows[0].slot_utc, partial(_measure_files, files, site, calibration)
-
-
-def jobs_kept(
-    state: Path, site: Site, calibration: ActiveCalibration, since: datetime, until: datetime
-) -> Iterator[Job]:
-    """The slots of the archive with since <= slot < until, in order."""
-    archive = FrameArchive(state)
-    for slot_utc in archive.stored_slots(since):
-        if slot_utc < until:
-            yield slot_utc, partial(_measure_kept, archive, slot_utc, site, calibration)
-
-
-def _files(frames: FrameSet, row: FrameSetRow) -> PairFiles:
-    main, sub = (frames.directory / name if name else None for name in (row.main, row.sub))
-    return PairFiles(main, sub, row_moment(row), _skew_s(row))
-
-
-def _measure_files(
-    files: list[PairFiles],
-    site: Site,
-    calibration: ActiveCalibration,
-    past: Sequence[PastRow],
-    learnt: Learnt | None = None,
-) -> PastRow:
-    pairs = (read_pair(pair, site) for pair in files)
-    return PastRow(files[0].moment, measure(pairs, site, calibration, past, learnt))
-
-
-def _measure_kept(
-    archive: FrameArchive,
-    slot_utc: datetime,
-    site: Site,
-    calibration: ActiveCalibration,
-    past: Sequence[PastRow],
-    learnt: Learnt | None = None,
-) -> PastRow:
-    pairs, _ = load_pairs(archive, slot_utc)
-    moment = first_moment(pairs) or Moment(slot_utc.timestamp())
-    return PastRow(moment, measure(pairs, site, calibration, past, learnt))
-
-
-def _skew_s(row: FrameSetRow) -> float | None:
-    """The skew that the frame archive keeps in its tables; other sets have none."""
-    try:
-        return float(row.extra.get("skew_s", ""))
-    except ValueError:
-        return None
-
-
-def tell(
-    results: list[Result],
-    calibration_id: int | None,
-    output: Path | None,
-    targets: Sequence[str],
-    *,
-    as_json: bool,
-) -> None:
-    """Write the table and a summary of the flags; with `--json` the rows on stdout."""
-    if output is not None or not as_json:
-        with opened_table(output) as table:
-            bursts = any(measurement.spread_mm is not None for _, measurement in results)
-            write_results(results, table, targets=targets, bursts=bursts)
-    if as_json:
-        rows = [result_fields(slot_utc, measurement) for slot_utc, measurement in results]
-        print_json(
-            {
-                "command": "reprocess",
-                "calibration": calibration_id,
-                "output": output,
-                "rows": rows,
-            }
-        )
-    note(f"{len(results)} rows with calibration {calibration_id}: {count_flags(results)}")
-
-
-def count_flags(results: Iterable[Result]) -> str:
+def count_flags(counts: Mapping[Flag, int]) -> str:
     """How many rows have which flag, in words."""
-    counts = Counter(measurement.flag for _, measurement in results)
     return ", ".join(f"{counts[flag]} {flag.name.lower()}" for flag in Flag if counts[flag])

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
-from pathlib import Path
+from typing import cast
 
 import structlog
 
 from core.calibration.calibrate import Calibration
 from core.errors import CalibrationError, ImageError
 from core.images import GreyImage, require_size
-from core.measurement import look_at_pair, measure_pair
+from core.measurement import assess_pair, look_at_pair
 from core.quality.burst import combine
 from core.quality.fixed_targets import PastRow, moved_alone, not_believed_any_more
 from core.quality.step_detection import add_reasons
@@ -20,13 +20,14 @@ from core.quality.verdicts import flag_of
 from core.results import Flag, Measurement, Reason
 from core.rig.learnt import Learnt
 from core.rig.stability import Moment
+from core.seeing import SeenPair, see_pair
 from core.site import CameraGeometry, Site
 from daemon.store.database import Store
 from daemon.store.frames.archive import ArchivedPair, FrameArchive
 from daemon.store.records import DatumRecord, rig_temperature_c
 from daemon.times import slot_text
 from drivers.errors import FrameSetError, ImageMissingError
-from drivers.frameset import FrameSetRow, read_image
+from drivers.frameset import FramePath, FrameSetRow, read_image
 from drivers.protocols import CapturedPair, Role
 
 _log = structlog.get_logger("dcam.daemon")
@@ -59,11 +60,22 @@ class ImagePair:
 
 
 @dataclass(frozen=True, slots=True)
+class SlotPair:
+    """What a pair of a slot shows, its images no longer held."""
+
+    seen: SeenPair | Measurement
+    """A measurement where nothing more can be made of it: without a calibration or an image."""
+    skew_s: float | None
+    unreadable: frozenset[Role]
+    moment: Moment | None
+
+
+@dataclass(frozen=True, slots=True)
 class PairFiles:
     """Where the images of one pair are."""
 
-    main: Path | None
-    sub: Path | None
+    main: FramePath | None
+    sub: FramePath | None
     moment: Moment
     skew_s: float | None = None
 
@@ -92,19 +104,47 @@ def measure(
     past are the rows before, in order, by which fixed targets that moved by themselves are known.
     learnt serves where no fixed target is seen.
     """
-    shown, lost = list(pairs), not_believed_any_more(past)
-    measurement = combine([_measure_one(pair, site, calibration, lost, learnt) for pair in shown])
-    moment = first_moment(shown)
+    seen = [see(pair, site, calibration) for pair in pairs]
+    return judge(seen, site, calibration, past, learnt)
+
+
+def see(pair: ImagePair, site: Site, calibration: ActiveCalibration | None) -> SlotPair:
+    """Find what a pair shows, whatever the rows before: the part that costs time."""
+    if len(pair.unreadable) == len(_UNREADABLE):
+        return SlotPair(_bad(*_UNREADABLE.values()), pair.skew_s, pair.unreadable, pair.moment)
+    seen: SeenPair | Measurement
+    try:
+        if calibration is None:
+            seen = look_at_pair(pair.main, pair.sub, site)
+        else:
+            seen = see_pair(pair.main, pair.sub, site, calibration.calibration.calibrated)
+    except Exception:  # noqa: BLE001 - a fault of ours costs this value, not the row
+        _log.exception("measurement_broke")
+        seen = _bad(Reason.INTERNAL_ERROR)
+    return SlotPair(seen, pair.skew_s, pair.unreadable, pair.moment)
+
+
+def judge(
+    pairs: Sequence[SlotPair],
+    site: Site,
+    calibration: ActiveCalibration | None,
+    past: Sequence[PastRow] = (),
+    learnt: Learnt | None = None,
+) -> Measurement:
+    """Give the measurement of a slot whose pairs were looked at: the rest of `measure`."""
+    lost = not_believed_any_more(past)
+    measurement = combine([_judge_one(pair, site, calibration, lost, learnt) for pair in pairs])
+    moment = first_moment(pairs)
     if calibration is None or moment is None:
         return measurement
     moved = moved_alone(past, measurement, moment, site, calibration.calibration.calibrated)
     if not moved:
         return measurement
-    without = [_measure_one(pair, site, calibration, lost | moved, learnt) for pair in shown]
+    without = [_judge_one(pair, site, calibration, lost | moved, learnt) for pair in pairs]
     return add_reasons(combine(without), (Reason.FIXED_TARGET_MOVED,))
 
 
-def first_moment(pairs: Iterable[ImagePair]) -> Moment | None:
+def first_moment(pairs: Iterable[ImagePair | SlotPair]) -> Moment | None:
     """When a slot's pairs were taken; None where no image of it could be read."""
     return next((pair.moment for pair in pairs if pair.moment is not None), None)
 
@@ -120,7 +160,7 @@ def read_pair(files: PairFiles, site: Site) -> ImagePair:
     """Read a pair's files; one that is missing or damaged is a reason, not an error."""
     images: dict[Role, GreyImage | None] = {"main": None, "sub": None}
     unreadable: set[Role] = set()
-    paths: tuple[tuple[Role, Path | None], ...] = (("main", files.main), ("sub", files.sub))
+    paths: tuple[tuple[Role, FramePath | None], ...] = (("main", files.main), ("sub", files.sub))
     for role, path in paths:
         try:
             images[role] = read_image(path) if path else None
@@ -171,7 +211,7 @@ def worst_skew_s(pairs: Sequence[ImagePair]) -> float | None:
     return max(known, key=abs, default=None)
 
 
-def _note_size(image: GreyImage | None, camera: CameraGeometry, path: Path | None) -> None:
+def _note_size(image: GreyImage | None, camera: CameraGeometry, path: FramePath | None) -> None:
     """Log which file has another size than the config says; the core gives the reason."""
     if image is None:
         return
@@ -181,30 +221,35 @@ def _note_size(image: GreyImage | None, camera: CameraGeometry, path: Path | Non
         _log.warning("image_wrong_size", error=str(error))
 
 
-def _measure_one(
-    pair: ImagePair,
+def _judge_one(
+    pair: SlotPair,
     site: Site,
     calibration: ActiveCalibration | None,
     distrusted: frozenset[str],
     learnt: Learnt | None,
 ) -> Measurement:
-    if len(pair.unreadable) == len(_UNREADABLE):
-        return _bad(*_UNREADABLE.values())
     try:
-        if calibration is None:
-            measurement = look_at_pair(pair.main, pair.sub, site)
-        else:
-            given = calibration.calibration
-            measurement = measure_pair(
-                pair.main, pair.sub, site, given, pair.skew_s, pair.moment, distrusted, learnt
-            )
-    except Exception:  # noqa: BLE001 - a fault of ours costs this value, not the row
+        measurement = _assessed(pair, site, calibration, distrusted, learnt)
+    except Exception:  # noqa: BLE001 - as in `see`
         _log.exception("measurement_broke")
         return _bad(Reason.INTERNAL_ERROR)
     said = {_MISSING[role]: _UNREADABLE[role] for role in pair.unreadable}
     reasons = tuple(said.get(reason, reason) for reason in measurement.reasons)
     flag = flag_of(reasons, has_value=measurement.corrected is not None)
     return replace(measurement, flag=flag, reasons=reasons)
+
+
+def _assessed(
+    pair: SlotPair,
+    site: Site,
+    calibration: ActiveCalibration | None,
+    distrusted: frozenset[str],
+    learnt: Learnt | None,
+) -> Measurement:
+    if isinstance(pair.seen, Measurement) or calibration is None:
+        return cast("Measurement", pair.seen)
+    given = calibration.calibration
+    return assess_pair(pair.seen, site, given, pair.skew_s, pair.moment, distrusted, learnt)
 
 
 def _bad(*reasons: Reason) -> Measurement:

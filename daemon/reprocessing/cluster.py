@@ -1,0 +1,141 @@
+"""Chunks on dask.distributed: a cluster of this computer's cores, or one that is there."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import warnings
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from daemon.errors import DcamError, HardwareError, UsageError, WorkFailedError
+from daemon.reprocessing.chunks import Chunk, SeenChunk, Work, chunk_key, see_chunk_elsewhere
+from daemon.reprocessing.identity import Identity, own_identity
+from daemon.reprocessing.parts import Parts
+from daemon.reprocessing.remote import EXTRA
+
+_AHEAD = 2
+"""Chunks in flight for each thread of the workers: one at work, one that waits. More would only
+make a slow disk seek."""
+_CONNECT_S = 10.0
+_TRIES = 3
+"""Of a chunk whose storage does not answer."""
+
+Tell = Callable[[str], None]
+
+
+@contextmanager
+def local_cluster(cores: int) -> Iterator[Any]:
+    """Start a worker a core on this computer, and give a client; all ends with the block."""
+    from distributed import Client, LocalCluster
+
+    # Others on this computer must not hand in work: TLS, with keys that only this run has.
+    options = {"dashboard_address": None, "silence_logs": 50, "security": True}
+    with (
+        LocalCluster(n_workers=cores, threads_per_worker=1, host="127.0.0.1", **options) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client
+
+
+@contextmanager
+def remote_cluster(address: str, tell: Tell) -> Iterator[Any]:
+    """Connect to a scheduler. Raises HardwareError, UsageError."""
+    try:
+        from distributed import Client
+    except ImportError:
+        msg = f"--scheduler needs dask: {EXTRA}"
+        raise WorkFailedError(msg) from None
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        try:
+            client = Client(address, timeout=_CONNECT_S)
+            client.wait_for_workers(1, timeout=_CONNECT_S)
+        except TimeoutError:
+            msg = f"{address}: no worker has joined; start one: dask worker {address}"
+            raise HardwareError(msg) from None
+        except OSError as error:
+            msg = f"{address}: no scheduler answers ({' '.join(str(error).split())[:120]}); start "
+            msg += "one with: dask scheduler"
+            raise HardwareError(msg) from None
+        except ValueError as error:
+            msg = f"--scheduler {address}: {error}; an address is tcp://host:8786"
+            raise UsageError(msg) from None
+    for one in warned:
+        tell(f"warning: {' '.join(str(one.message).split())}")
+    with client:
+        yield client
+
+
+def check_workers(client: Any, tell: Tell) -> None:
+    """Require that all workers are of this process's versions. Raises WorkFailedError."""
+    for worker, answer in client.run(own_identity, on_error="return").items():
+        if isinstance(answer, BaseException):
+            msg = f"worker {worker}: does not run dcam ({answer}); install it there: {EXTRA}"
+            raise WorkFailedError(msg)
+        _require_alike(answer, str(worker))
+        if answer.processor != own_identity().processor:
+            tell(
+                f"warning: worker {worker} has another processor ({answer.processor} there, "
+                f"{own_identity().processor} here): the last digits of values may differ"
+            )
+
+
+def _require_alike(identity: Identity, worker: str) -> None:
+    different = own_identity().differences(identity)
+    if different:
+        msg = f"worker {worker}: {different}; values would differ: install the same versions"
+        raise WorkFailedError(msg)
+
+
+def seen_by_workers(
+    client: Any, work: Work, chunks: Iterator[Chunk], parts: Parts
+) -> Iterator[bytes]:
+    """Give the chunks' results in order, at most `_AHEAD` for each thread in flight.
+
+    What a worker that dies had to do is done by another. Raises WorkFailedError, HardwareError.
+    """
+    # A task, so that it can be made once more where workers that had it are lost.
+    shared = client.submit(pickle.loads, pickle.dumps(work), pure=False)
+    digest = work.digest()
+    waiting: deque[tuple[str, Any]] = deque()
+    for chunk in chunks:
+        key = chunk_key(digest, chunk)
+        known = parts.load(key)
+        if known is None:
+            known = client.submit(see_chunk_elsewhere, shared, chunk, pure=False, retries=_TRIES)
+        waiting.append((key, known))
+        while len(waiting) >= _AHEAD * max(sum(client.nthreads().values()), 1):
+            yield _settled(*waiting.popleft(), parts)
+    while waiting:
+        yield _settled(*waiting.popleft(), parts)
+
+
+def _settled(key: str, known: Any, parts: Parts) -> bytes:
+    """A chunk's result, kept for a run that goes on from here."""
+    from distributed import KilledWorker
+
+    if isinstance(known, bytes):
+        return known
+    try:
+        seen: SeenChunk = known.result()
+    except DcamError:
+        raise
+    except KilledWorker as error:
+        msg = f"the same chunk ended one worker after another ({error}): is there memory enough?"
+        raise WorkFailedError(msg) from error
+    except Exception as error:
+        msg = (
+            f"the scheduler or its workers: {type(error).__name__}: {error}; run it again to go on"
+        )
+        raise HardwareError(msg) from error
+    _require_alike(seen.identity, "one that joined later")
+    parts.save(key, seen.content)
+    return seen.content
+
+
+def cores() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0))

@@ -1,0 +1,80 @@
+"""Frames at any URL that fsspec knows: s3://, gs://, sftp://, https:// ..."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from daemon.errors import HardwareError, UsageError, WorkFailedError
+
+EXTRA = "pip install 'dcam[dask]'"
+"""What brings dask and fsspec."""
+
+
+class StorageError(HardwareError):
+    """A storage did not answer: that says nothing of the frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class RemotePath:
+    """A directory or a file at a URL."""
+
+    url: str
+
+    def __str__(self) -> str:
+        return self.url
+
+    def __truediv__(self, name: str) -> RemotePath:
+        return RemotePath(f"{self.url.rstrip('/')}/{name}")
+
+    @property
+    def name(self) -> str:
+        """The last part."""
+        return self.url.rpartition("/")[2]
+
+    def read_bytes(self) -> bytes:
+        """The file's content. Raises FileNotFoundError, StorageError, UsageError."""
+        files, path = _opened(self.url)
+        try:
+            content: bytes = files.cat_file(path)
+        except FileNotFoundError:
+            raise
+        except Exception as error:  # whatever the storage's library raises
+            raise _unanswered(self.url, error) from error
+        return content
+
+    def glob(self, pattern: str) -> list[RemotePath]:
+        """What matches below it, in order. Raises StorageError, UsageError."""
+        files, path = _opened(self.url)
+        try:
+            found = files.glob(f"{path.rstrip('/')}/{pattern}")
+        except Exception as error:  # as above
+            raise _unanswered(self.url, error) from error
+        return [RemotePath(files.unstrip_protocol(one)) for one in sorted(found)]
+
+
+def is_url(text: str) -> bool:
+    """Whether it names a storage rather than a directory of this computer."""
+    return "://" in text
+
+
+def _opened(url: str) -> tuple[Any, str]:
+    """The storage, opened once in a process, and the path there."""
+    try:
+        from fsspec.core import url_to_fs
+    except ImportError:
+        msg = f"{url}: frames at a URL need fsspec: {EXTRA}"
+        raise WorkFailedError(msg) from None
+    try:
+        files, path = url_to_fs(url)
+    except (ImportError, ValueError) as error:  # its text names the library that is missing
+        msg = f"{url}: {error}"
+        raise UsageError(msg) from None
+    except Exception as error:  # a wrong host or key
+        raise _unanswered(url, error) from error
+    return files, str(path)
+
+
+def _unanswered(url: str, error: Exception) -> StorageError:
+    text = " ".join(str(error).split()) or type(error).__name__
+    return StorageError(f"{url}: {text}; check address, access and network, then run it again")
