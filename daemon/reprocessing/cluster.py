@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import pickle
 import warnings
@@ -23,17 +24,28 @@ _CONNECT_S = 10.0
 _TRIES = 3
 """Of a chunk whose storage does not answer."""
 
+_QUIET = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "5s",
+    "distributed.worker.memory.monitor-interval": "1s",
+}
+"""Left to itself dask looks at its workers 10 to 100 times a second: a twentieth of a core."""
+
 Tell = Callable[[str], None]
 
 
 @contextmanager
 def local_cluster(cores: int) -> Iterator[Any]:
     """Start a worker a core on this computer, and give a client; all ends with the block."""
+    from dask import config
     from distributed import Client, LocalCluster
 
+    _silence()
     # Others on this computer must not hand in work: TLS, with keys that only this run has.
-    options = {"dashboard_address": None, "silence_logs": 50, "security": True}
+    options = {"dashboard_address": None, "silence_logs": logging.CRITICAL, "security": True}
     with (
+        config.set(_QUIET),
         LocalCluster(n_workers=cores, threads_per_worker=1, host="127.0.0.1", **options) as cluster,
         Client(cluster) as client,
     ):
@@ -48,6 +60,7 @@ def remote_cluster(address: str, tell: Tell) -> Iterator[Any]:
     except ImportError:
         msg = f"--scheduler needs dask: {EXTRA}"
         raise WorkFailedError(msg) from None
+    _silence()
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         try:
@@ -67,6 +80,13 @@ def remote_cluster(address: str, tell: Tell) -> Iterator[Any]:
         tell(f"warning: {' '.join(str(one.message).split())}")
     with client:
         yield client
+
+
+def _silence() -> None:
+    """What dask says of its connections is nothing to the user: what matters is an error here."""
+    for name in list(logging.root.manager.loggerDict):
+        if name.split(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 def check_workers(client: Any, tell: Tell) -> None:

@@ -1,0 +1,175 @@
+"""Reprocessing of an archive on workers: rate against one core, equality, and workers killed.
+
+`python -m benchmarks.reprocess`: 2,000 full-size pairs with a fixed target, whose rows hang on
+those before.
+Each run is `dcam-ctl reprocess` in a process of its own; its CPU time is that of all its processes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import math
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+
+from daemon.config.reading import load_config
+from drivers.frameset import FrameSetRow, read_frame_set, write_table
+from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
+from drivers.sim.settings import SimPlate, SimSettings
+
+SITE = Path(__file__).parents[1] / "config.example.toml"
+PLATE = """
+[[target.extra]]
+name = "abutment"
+role = "fixed"
+kind = "circles"
+centres_mm = [[-8.0, 10.0], [8.0, 10.0], [-3.0, -10.0]]
+diameter_mm = 7.0
+distance_mm = 11500.0
+distance_sigma_mm = 20.0
+"""
+SLOTS, RENDERED = 2000, 20
+"""Slots, and the pairs that are rendered for them, over and over."""
+KILLS = 3
+SEED = 5
+DCAM_CTL = Path(sys.executable).with_name("dcam-ctl")
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One `dcam-ctl reprocess`."""
+
+    wall_s: float
+    cpu_s: float
+    sha256: str
+    killed: int
+
+    @property
+    def cores(self) -> float:
+        """How many cores it had."""
+        return self.cpu_s / self.wall_s
+
+
+def main() -> None:
+    """Make the frames, run, and say what came of it."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.reprocess", description=__doc__)
+    parser.add_argument("--slots", type=int, default=SLOTS)
+    parser.add_argument("--directory", type=Path, help="where the frames are, or are to be made")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="dcam-reprocess-") as scratch:
+        directory = options.directory or Path(scratch)
+        if not (directory / "many").is_dir():
+            make_frames(directory, options.slots)
+        reprocess(directory, "serial", RENDERED)  # compiles the loops
+        serial = reprocess(directory, "serial")
+        shared = reprocess(directory, "local")
+        killed = reprocess(directory, "local", kills=KILLS, within_s=0.8 * shared.wall_s)
+    for name, run in (("serial", serial), ("workers", shared), ("workers killed", killed)):
+        print(
+            f"{name}: {run.wall_s:.1f} s, CPU {run.cpu_s:.1f} s = {run.cores:.2f} cores, "
+            f"{run.killed} killed, {run.sha256[:16]}"
+        )
+    print(f"rate of the workers over that of one core: {serial.wall_s / shared.wall_s:.2f}")
+    print(f"on idle cores, by CPU time: {idle_gain(serial, shared):.2f}")
+    print("all the same bytes:", len({serial.sha256, shared.sha256, killed.sha256}) == 1)
+
+
+def idle_gain(serial: Run, shared: Run) -> float:
+    """What the CPU times say of all cores undisturbed: the work's overhead, divided by the cores."""
+    return len(os.sched_getaffinity(0)) * serial.cpu_s / shared.cpu_s
+
+
+def make_frames(directory: Path, slots: int) -> None:
+    """Render a frame set, calibrate on it, and make a long one of its images."""
+    config, rendered, many = (directory / name for name in ("dcam.toml", "set", "many"))
+    config.write_text(SITE.read_text() + PLATE)
+    plates = (SimPlate("abutment", offset_mm=(53.0, 0.0)),)
+    settings = SimSettings(seed=SEED, plates=plates)
+    plan = FrameSetPlan(intrinsics=8, rig=12, measure=RENDERED, measure_every_min=30.0)
+    write_frame_set(rendered, load_config(config).site(), settings, plan)
+    dcam_ctl(directory, "calibrate", "--from", rendered, "--accept")
+    many.mkdir()
+    shown = read_frame_set(rendered).rows_of("measure")
+    rows = []
+    for number in range(slots):
+        row = shown[number % len(shown)]
+        slot_utc = shown[0].slot_utc + timedelta(minutes=number)
+        warm = f"{20.0 + 5.0 * math.sin(number / 229.0):.2f}"
+        extra = {"temperature_main_c": warm, "temperature_sub_c": warm}
+        rows.append(FrameSetRow(slot_utc, "measure", row.main, row.sub, extra=extra))
+    for name in {str(name) for row in shown for name in (row.main, row.sub)}:
+        os.link(rendered / name, many / name)
+    write_table(many, rows)
+    few = directory / "few"
+    few.mkdir()
+    for image in many.glob("*.png"):
+        os.link(image, few / image.name)
+    write_table(few, rows[:RENDERED])
+
+
+def reprocess(
+    directory: Path, scheduler: str, few: int = 0, *, kills: int = 0, within_s: float = 0.0
+) -> Run:
+    """Measure the long set once, and kill workers meanwhile."""
+    output = directory / f"{scheduler}.csv"
+    output.unlink(missing_ok=True)
+    frames = directory / ("few" if few else "many")
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    begun = time.monotonic()
+    process = subprocess.Popen(
+        arguments(
+            directory, "reprocess", "--from", frames, "--scheduler", scheduler, "--output", output
+        )
+    )
+    killed = kill_workers(process, kills, within_s)
+    if process.wait() != 0:
+        msg = f"dcam-ctl reprocess --scheduler {scheduler} failed"
+        raise RuntimeError(msg)
+    wall_s = time.monotonic() - begun
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return Run(wall_s, cpu_s, hashlib.sha256(output.read_bytes()).hexdigest(), killed)
+
+
+def kill_workers(process: subprocess.Popen[bytes], kills: int, within_s: float) -> int:
+    """Kill a worker at each of some random times; give how many were."""
+    draw, begun, killed = random.Random(SEED), time.monotonic(), 0
+    for at_s in sorted(draw.uniform(0.2, 1.0) * within_s for _ in range(kills)):
+        time.sleep(max(0.0, begun + at_s - time.monotonic()))
+        found = workers_of(process.pid)
+        if found and process.poll() is None:
+            os.kill(draw.choice(found), signal.SIGKILL)
+            killed += 1
+    return killed
+
+
+def workers_of(pid: int) -> list[int]:
+    """The processes of workers that a process has started."""
+    children = Path(f"/proc/{pid}/task").glob("*/children")
+    pids = [int(child) for file in children for child in file.read_text().split()]
+    return [one for one in pids if b"spawn_main" in Path(f"/proc/{one}/cmdline").read_bytes()]
+
+
+def dcam_ctl(directory: Path, *words: object) -> None:
+    """Run it to its end."""
+    subprocess.run(arguments(directory, *words), check=True)
+
+
+def arguments(directory: Path, *words: object) -> list[str]:
+    """The command line of `dcam-ctl` for this site."""
+    site = ("--config", directory / "dcam.toml", "--state", directory / "state")
+    return [str(word) for word in (DCAM_CTL, *site, *words)]
+
+
+if __name__ == "__main__":
+    main()
