@@ -85,7 +85,7 @@ def main() -> None:
 
 
 def idle_gain(serial: Run, shared: Run) -> float:
-    """What the CPU times say of all cores undisturbed: the work's overhead, divided by the cores."""
+    """The gain on cores that nobody else uses, by CPU times."""
     return len(os.sched_getaffinity(0)) * serial.cpu_s / shared.cpu_s
 
 
