@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.stamp-installed
 
 .DELETE_ON_ERROR:
-.PHONY: help venv demo test check bench picture page-pictures docs clean install uninstall deb
+.PHONY: help venv demo test check bench studies picture page-pictures docs clean install uninstall deb
 
 help:
 	@echo "make venv    make .venv with all that is needed, and do nothing else: .venv/bin/dcam-ctl"
@@ -17,6 +17,7 @@ help:
 	@echo "make test    run the tests"
 	@echo "make check   lint, types, import contracts"
 	@echo "make bench   measure time and memory: docs/benchmarks.md"
+	@echo "make studies repeat the studies of accuracy, an hour or so: docs/studies; a second run continues"
 	@echo "make picture draw docs/images/architecture.svg from the code (needs graphviz)"
 	@echo "make page-pictures take docs/images/page-*.png anew, from the tests (needs chromium)"
 	@echo "make docs    the documents as a site: out/docs/index.html"
@@ -43,6 +44,9 @@ check: $(INSTALLED)
 
 bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks --output docs/benchmarks.md
+
+studies: $(INSTALLED)
+	$(BIN)/python -m studies
 
 picture: $(INSTALLED)
 	$(BIN)/python docs/draw_architecture.py

@@ -17,6 +17,7 @@ from sphinx.cmd.build import build_main
 HERE = Path(__file__).parent
 DOCS = HERE.parent
 
+STUDIES = ("numerical", "laboratory", "field", "sensitivity", "peers")
 NAVIGATION = {
     "At the pier": [
         *("start", "install", "pier", "reading", "troubles", "web", "alarms", "analysis", "ledger"),
@@ -24,6 +25,7 @@ NAVIGATION = {
     ],
     "Reference": ["commands", "keys", "columns", "reasons", "conventions", "functions"],
     "How it works": ["method", "architecture", "promises", "benchmarks", "decisions/README"],
+    "Studies": ["studies/README", *(f"studies/{name}" for name in STUDIES)],
     "Limits and changes": ["untested", "CHANGELOG"],
 }
 INDEX = """# dcam
