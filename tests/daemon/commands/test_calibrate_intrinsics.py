@@ -24,9 +24,9 @@ from drivers.frameset import read_frame_set, write_table
 from drivers.protocols import CapturedFrame, CapturedPair, Image
 from drivers.sim.settings import SimSettings
 from drivers.sim.world import World
-from tests.daemon.commands.conftest import SEED, SIMULATED, Ctl
+from tests.daemon.commands.conftest import SEED, SIMULATED, Ctl, Ran
 from tests.daemon.commands.test_calibrate_pan_tilt import ROOT, Watched, watched
-from tests.waiting import PATIENCE_S
+from tests.waiting import PATIENCE_S, wait_for
 
 CAMERA = CameraGeometry(width_px=600, height_px=400, pixel_pitch_um=5.86, focal_length_mm=6.0)
 
@@ -36,6 +36,32 @@ def config(tmp_path: Path) -> Path:
     path = tmp_path / "dcam.toml"
     path.write_text(SIMULATED)
     return path
+
+
+@pytest.fixture(scope="module")
+def taken(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Ran]:
+    """A state with lens views taken until they were enough, and what was said; not to be changed.
+
+    Its config is beside it.
+    """
+    directory = tmp_path_factory.mktemp("lens-views")
+    config = directory / "dcam.toml"
+    config.write_text(SIMULATED)
+    words = ["--config", config, "--state", directory / "state", "calibrate", "--intrinsics"]
+    ran = subprocess.run(
+        [sys.executable, "-m", "daemon.ctl", *words],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return directory / "state", Ran(ran.returncode, ran.stdout, ran.stderr)
+
+
+@pytest.fixture
+def state(taken: tuple[Path, Ran], tmp_path: Path) -> Path:
+    """A copy of the state with lens views, which a test may change."""
+    return Path(shutil.copytree(taken[0], tmp_path / "state"))
 
 
 def tilted(about: str, deg: float) -> Pose:
@@ -97,10 +123,9 @@ def test_when_all_is_covered_only_the_number_counts() -> None:
 
 
 def test_it_goes_on_until_the_views_are_enough_and_says_so(
-    ctl: Ctl, config: Path, tmp_path: Path
+    ctl: Ctl, config: Path, taken: tuple[Path, Ran]
 ) -> None:
-    state = tmp_path / "state"
-    ran = ctl("--config", config, "--state", state, "calibrate", "--intrinsics")
+    state, ran = taken
     assert ran.code == 0, ran.err
     assert ran.out.startswith("lens views are enough\n")
     reported = [line for line in ran.err.splitlines() if line.startswith("dcam-ctl: view")]
@@ -219,10 +244,8 @@ def test_a_blurred_board_is_not_kept(
 
 
 def test_the_head_calibration_uses_the_latest_lens_views(
-    ctl: Ctl, config: Path, tmp_path: Path
+    ctl: Ctl, config: Path, state: Path
 ) -> None:
-    state = tmp_path / "state"
-    assert ctl("--config", config, "--state", state, "calibrate", "--intrinsics").code == 0
     lens = latest_lens_views(state)
     ran = ctl("--config", config, "--state", state, "calibrate", "--pan-tilt", "--json")
     assert ran.code == 0, ran.err
@@ -231,12 +254,11 @@ def test_the_head_calibration_uses_the_latest_lens_views(
 
 
 def test_lens_views_that_were_broken_off_do_not_replace_whole_ones(
-    ctl: Ctl, config: Path, tmp_path: Path
+    config: Path, state: Path
 ) -> None:
     """SIGTERM after the first view of a second session; it says that it will not go on."""
-    arguments = ["--config", str(config), "--state", str(tmp_path / "state")]
-    assert ctl(*arguments, "calibrate", "--intrinsics").code == 0
-    whole = latest_lens_views(tmp_path / "state")
+    arguments = ["--config", str(config), "--state", str(state)]
+    whole = latest_lens_views(state)
     second = Path(f"{whole.directory}-2")
     with subprocess.Popen(
         [sys.executable, "-m", "daemon.ctl", *arguments, "calibrate", "--intrinsics"],
@@ -245,14 +267,14 @@ def test_lens_views_that_were_broken_off_do_not_replace_whole_ones(
         stderr=subprocess.PIPE,
         text=True,
     ) as program:
-        while program.poll() is None and not (second / "frames.csv").exists():
-            pass
+        taken = second / "frames.csv"
+        wait_for(lambda: program.poll() is not None or taken.exists(), "a view of the second")
         program.send_signal(signal.SIGTERM)
         _, err = program.communicate(timeout=PATIENCE_S)
     assert program.returncode == 1
     assert err.splitlines()[-1].endswith("too few to be used; the same command starts again")
     assert read_frame_set(second).rows_of("intrinsics")
-    assert latest_lens_views(tmp_path / "state").directory == whole.directory
+    assert latest_lens_views(state).directory == whole.directory
 
 
 @pytest.mark.parametrize("option", ["--fresh", "--without-lens-views"])

@@ -32,7 +32,7 @@ from drivers.protocols import CapturedFrame, CapturedPair
 from drivers.sim.settings import SimSettings
 from drivers.sim.world import World
 from tests.daemon.commands.conftest import SIMULATED, Ctl
-from tests.waiting import PATIENCE_S
+from tests.waiting import PATIENCE_S, wait_for
 
 ROOT = Path(__file__).parents[3]
 BEGIN = datetime(2026, 2, 28, 23, tzinfo=UTC)
@@ -429,8 +429,10 @@ def test_sigterm_halts_and_says_how_to_go_on(config: Path, tmp_path: Path) -> No
         text=True,
     )
     with program:
-        while program.poll() is None and not list(state.glob(f"{FOLDER}/*/frames.csv")):
-            pass
+        wait_for(
+            lambda: program.poll() is not None or bool(list(state.glob(f"{FOLDER}/*/frames.csv"))),
+            "a view",
+        )
         program.send_signal(signal.SIGTERM)
         _, err = program.communicate(timeout=PATIENCE_S)
     assert program.returncode == 1
