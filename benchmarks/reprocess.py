@@ -1,7 +1,7 @@
 """Reprocessing of an archive on workers: rate against one core, equality, and workers killed.
 
-`python -m benchmarks.reprocess`: 2,000 full-size pairs with a fixed target, whose rows hang on
-those before.
+`python -m benchmarks.reprocess`: 2,000 pairs with a fixed target, whose rows hang on those
+before.
 Each run is `dcam-ctl reprocess` in a process of its own; its CPU time is that of all its processes.
 """
 
@@ -27,7 +27,8 @@ from drivers.frameset import FrameSetRow, read_frame_set, write_table
 from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
 from drivers.sim.settings import SimPlate, SimSettings
 
-SITE = Path(__file__).parents[1] / "config.example.toml"
+SMALL = Path(__file__).with_name("small.toml")
+FULL = Path(__file__).parents[1] / "config.example.toml"
 PLATE = """
 [[target.extra]]
 name = "abutment"
@@ -64,12 +65,15 @@ def main() -> None:
     """Make the frames, run, and say what came of it."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.reprocess", description=__doc__)
     parser.add_argument("--slots", type=int, default=SLOTS)
+    parser.add_argument(
+        "--full", action="store_true", help="images of 1920 x 1200 px, not 480 x 300"
+    )
     parser.add_argument("--directory", type=Path, help="where the frames are, or are to be made")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="dcam-reprocess-") as scratch:
         directory = options.directory or Path(scratch)
         if not (directory / "many").is_dir():
-            make_frames(directory, options.slots)
+            make_frames(directory, options.slots, FULL if options.full else SMALL)
         reprocess(directory, "serial", RENDERED)  # compiles the loops
         serial = reprocess(directory, "serial")
         shared = reprocess(directory, "local")
@@ -89,10 +93,10 @@ def idle_gain(serial: Run, shared: Run) -> float:
     return len(os.sched_getaffinity(0)) * serial.cpu_s / shared.cpu_s
 
 
-def make_frames(directory: Path, slots: int) -> None:
+def make_frames(directory: Path, slots: int, site: Path) -> None:
     """Render a frame set, calibrate on it, and make a long one of its images."""
     config, rendered, many = (directory / name for name in ("dcam.toml", "set", "many"))
-    config.write_text(SITE.read_text() + PLATE)
+    config.write_text(site.read_text() + PLATE)
     plates = (SimPlate("abutment", offset_mm=(53.0, 0.0)),)
     settings = SimSettings(seed=SEED, plates=plates)
     plan = FrameSetPlan(intrinsics=8, rig=12, measure=RENDERED, measure_every_min=30.0)
