@@ -41,7 +41,7 @@ def budget_of(made: NumbersSite, number: int, now: Moment) -> tuple[Budget, floa
         image_mm2=corrected.covariance_mm2,
     )
     scale = main_scale(calibrated.B)
-    terms = stability_terms(made.site, scale, Moment(0.0, 0.0), now)
+    terms = stability_terms(made.site, scale, Moment(0.0, 0.0), now, calibrated.lens)
     return row_budget(made.site, calibrated, row, terms), float(
         np.sqrt(corrected.covariance_mm2[1, 1])
     )

@@ -165,8 +165,9 @@ class _Together:
 def _stability(site: Site, calibration: Calibration, moment: Moment | None) -> tuple[Term, ...]:
     if moment is None or calibration.reference is None:
         return ()
+    calibrated = calibration.calibrated
     return stability_terms(
-        site, main_scale(calibration.calibrated.B), calibration.reference, moment
+        site, main_scale(calibrated.B), calibration.reference, moment, calibrated.lens
     )
 
 

@@ -135,6 +135,8 @@ class StabilityBudget:
     """Shift of the main camera's image, in x and in y."""
     main_scale_per_k: float = 7e-5
     """Relative, of the main camera's scale."""
+    sub_px_per_k: float = 0.005
+    """Shift of the sub-camera's image, in x and in y."""
     air_gradient_k_per_m: float = 0.1
     """Of the air's temperature across the line of sight, less what it was at the calibration."""
     temperature_range_k: float = 10.0

@@ -216,6 +216,7 @@ _BUDGET_KEYS = (
     ("board_urad_per_sqrt_day", "µrad/√d"),
     ("board_expansion_per_k", "1/K"),
     ("main_px_per_k", "px/K"),
+    ("sub_px_per_k", "px/K"),
     ("air_gradient_k_per_m", "K/m"),
 )
 """The key of [stability] behind each of `stability_terms`, and its unit."""

@@ -95,7 +95,8 @@ def write_report(
             f"{float(np.hypot(*held_out.T).max()):.4f} mm at most"
         )
     typical_mm = float(np.median([d.sigma_mm for d in drift]))
-    lines.append(season_sentence(options.site, main_scale(calibrated.B), typical_mm))
+    scale = main_scale(calibrated.B)
+    lines.append(season_sentence(options.site, scale, typical_mm, calibrated.lens))
     lines += survey.lines + _warnings(fit, figures)
     return CalibrationReport(not problems, tuple(lines), figures)
 

@@ -122,7 +122,7 @@ def _budget_mm2(
     target = next((one for one in calibrated.further if one.name == name), None)
     if target is None:
         return np.zeros((2, 2))
-    terms = stability_terms(site, main_scale(calibrated.B), before, now)
+    terms = stability_terms(site, main_scale(calibrated.B), before, now, calibrated.lens)
     state = total_covariance(terms)
     effects = state_effects(target, site.main.centre_px, site.main_target.distance_mm)[:2]
     to_mm = np.linalg.inv(target.B) @ effects

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 
 from core.arrays import FloatArray
+from core.geometry.lens import Lens
+from core.lens_model import LensModel
 from core.rig.calibrated_target import CalibratedTarget
 from core.site import Site
 
@@ -31,6 +33,12 @@ DN_DT_PER_K = 9.3e-7
 n - 1 = 2.77e-4, falling with 1/T)."""
 _HORIZONTAL_SHARE = 0.3
 """Of the air's gradient sideways. Chosen: air lies in layers; beside a warm wall it may be more."""
+_USUAL_K1, _USUAL_K2 = -0.09, 0.02
+"""Radial distortion of a sub-camera that is not calibrated yet: as a 6 mm lens may have."""
+_GRID = 9
+"""Points along each side of the image, where its shift is looked at; more change nothing."""
+_IN_FRONT = 0.1
+"""Cosine from which a ray meets a board that faces the camera."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +80,7 @@ class Term:
 _STIFFER = "bolt a stiffer plate, or hang a fixed target"
 _BOARD = "glue the board to a plate of glass or steel, or hang a fixed target"
 _LENS = "shade the main camera, or hang a fixed target"
+_SUB_LENS = "shade the sub-camera, take a lens that distorts less, or hang a fixed target"
 _AIR = "measure at night, or hang a fixed target"
 
 
@@ -110,12 +119,39 @@ def main_scale(B: FloatArray) -> float:
     return float(np.linalg.svd(B, compute_uv=False)[0])
 
 
+def turn_by_sub_shift(site: Site, lens: Lens | None = None) -> float:
+    """Turn (rad) that the board seems to make when the sub-camera's image shifts by 1 px.
+
+    Of a board that fills the image. Without distortion that looks like a shift, and 0 is left.
+    With it the shift is not the same everywhere on the board, and the pose that fits best is
+    turned: with k1 alone by some 2.7 k1 of the shift's angle. Without a lens a usual one is taken.
+    """
+    camera = site.sub
+    if lens is None:
+        ideal = Lens.ideal(LensModel.RADIAL, camera.focal_px, camera.centre_px)
+        lens = ideal.moved(np.array([0.0, 0.0, 0.0, 0.0, 0.0, _USUAL_K1, _USUAL_K2]))
+    across, down = (np.linspace(0.0, n - 1.0, _GRID) for n in (camera.width_px, camera.height_px))
+    rays = lens.rays(np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2))
+    rays = rays[rays[:, 2] > _IN_FRONT]
+    points = rays / rays[:, 2:]
+    _, by_point = lens.project_slopes(points)
+    by_turn = np.cross(np.eye(3)[None], points[:, None]).transpose(0, 2, 1)
+    by_pose = np.concatenate([by_point @ by_turn, by_point], axis=2).reshape(-1, 6)
+    shifts = np.tile(np.eye(2), (len(points), 1))
+    turns = np.linalg.lstsq(by_pose, shifts, rcond=None)[0][:2]
+    return float(np.sqrt((turns**2).sum() / 2.0))
+
+
 def stability_terms(
-    site: Site, scale_px_per_mm: float, reference: Moment, now: Moment
+    site: Site,
+    scale_px_per_mm: float,
+    reference: Moment,
+    now: Moment,
+    sub_lens: Lens | None = None,
 ) -> tuple[Term, ...]:
     """What may have changed from one moment to another, cause by cause.
 
-    scale_px_per_mm is the main camera's at the main target.
+    scale_px_per_mm is the main camera's at the main target; sub_lens as calibrated, where it is.
     """
     budget, focal_px = site.stability, scale_px_per_mm * site.main_target.distance_mm
     age_s = abs(now.utc_s - reference.utc_s)
@@ -138,6 +174,7 @@ def stability_terms(
     half_board_mm = 0.5 * site.sub_target.square_mm * site.sub_target.squares_x
     slide_px = budget.board_expansion_per_k * kelvin * half_board_mm * scale_px_per_mm
     lens_px, lens_scale = budget.main_px_per_k * kelvin, budget.main_scale_per_k * kelvin
+    feigned_px = focal_px * turn_by_sub_shift(site, sub_lens) * budget.sub_px_per_k * kelvin
     metres = 1e-3 * site.main_target.distance_mm
     air_mm = 1e3 * 0.5 * DN_DT_PER_K * budget.air_gradient_k_per_m * metres**2 * settled
     air_px2 = (air_mm * scale_px_per_mm) ** 2
@@ -162,6 +199,11 @@ def stability_terms(
             _LENS,
         ),
         Term(
+            f"the sub lens warming by {warmed}",
+            np.diag([feigned_px**2, feigned_px**2, *zero[2:]]),
+            _SUB_LENS,
+        ),
+        Term(
             "the air's temperature gradient",
             np.diag([*zero[:4], _HORIZONTAL_SHARE**2 * air_px2, air_px2]),
             _AIR,
@@ -169,10 +211,12 @@ def stability_terms(
     )
 
 
-def season_sentence(site: Site, scale_px_per_mm: float, image_mm: float) -> str:
+def season_sentence(
+    site: Site, scale_px_per_mm: float, image_mm: float, sub_lens: Lens | None = None
+) -> str:
     """Say what a row's sigma becomes a month and a change of temperature after the calibration."""
     later = Moment(_MONTH_S, site.stability.temperature_range_k)
-    terms = stability_terms(site, scale_px_per_mm, Moment(0.0, 0.0), later)
+    terms = stability_terms(site, scale_px_per_mm, Moment(0.0, 0.0), later, sub_lens)
     when = f"30 days and {site.stability.temperature_range_k:g} K after the calibration"
     cause = budget_sentence(terms, scale_px_per_mm, image_mm)
     if site.has_fixed_target:

@@ -216,7 +216,13 @@ def _verdict(name: str, unit: str, shown: Estimate | None, allowed: float) -> Ve
 def _config_lines(site: Site, verdicts: Sequence[Verdict]) -> list[tuple[str, float]]:
     """The keys that the record tells of, each with its share of the whole as in the config."""
     keys = (
-        ("cameras_urad_per_k", "board_urad_per_k", "board_expansion_per_k", "main_px_per_k"),
+        (
+            "cameras_urad_per_k",
+            "board_urad_per_k",
+            "board_expansion_per_k",
+            "main_px_per_k",
+            "sub_px_per_k",
+        ),
         ("cameras_urad_per_sqrt_day", "board_urad_per_sqrt_day"),
         ("air_gradient_k_per_m",),
     )

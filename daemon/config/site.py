@@ -251,6 +251,7 @@ class StabilitySection(Section):
     board_expansion_per_k: float = Field(default=_STABLE.board_expansion_per_k, ge=0, le=1e-3)
     main_px_per_k: float = Field(default=_STABLE.main_px_per_k, ge=0, le=10.0)
     main_scale_per_k: float = Field(default=_STABLE.main_scale_per_k, ge=0, le=1e-2)
+    sub_px_per_k: float = Field(default=_STABLE.sub_px_per_k, ge=0, le=10.0)
     air_gradient_k_per_m: float = Field(default=_STABLE.air_gradient_k_per_m, ge=0, le=100.0)
     temperature_range_k: float = Field(default=_STABLE.temperature_range_k, ge=0, le=100.0)
 

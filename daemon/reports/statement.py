@@ -128,7 +128,7 @@ def _terms(
         return ()
     calibrated = calibration.calibrated
     scale = main_scale(calibrated.B)
-    terms = stability_terms(site, scale, calibration.reference, record.moment)
+    terms = stability_terms(site, scale, calibration.reference, record.moment, calibrated.lens)
     part_mm2 = corrected.covariance_mm2 - corrected.image_mm2
     shift_px2 = calibrated.B @ part_mm2 @ calibrated.B.T
     whole = total_covariance(terms)

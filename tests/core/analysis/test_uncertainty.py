@@ -49,8 +49,8 @@ def measured(session: Session, *, stable: bool) -> tuple[Measurement, tuple[Term
     now = None if stable else Moment(reference.utc_s + MONTH_S, 15.0)
     pair = session.pair(session.world.settings.start_utc + 60 * MINUTE)
     found = measure_pair(*pair, session.site, calibration, moment=now)
-    scale = main_scale(calibration.calibrated.B)
-    terms = () if now is None else stability_terms(session.site, scale, reference, now)
+    scale, lens = main_scale(calibration.calibrated.B), calibration.calibrated.lens
+    terms = () if now is None else stability_terms(session.site, scale, reference, now, lens)
     return found, terms
 
 

@@ -7,6 +7,7 @@ from datetime import timedelta
 import numpy as np
 
 from core.rig.stability import Moment, stability_terms
+from core.site import CameraGeometry
 from drivers.sim.settings import Breathing, Climate, SimSettings
 from drivers.sim.world import World
 from tests.core.scenes import small_site
@@ -18,7 +19,11 @@ PIXELS_MM = 0.01
 
 def test_two_thirds_of_the_errors_of_a_season_are_within_its_sigma() -> None:
     """2 urad/K, 14 urad of creep and 0.02 px/K, each in a direction of its own."""
-    site = small_site(22000.0)
+    site = small_site(
+        22000.0,
+        main=CameraGeometry(1920, 1200, 5.86, 800.0),
+        sub=CameraGeometry(1920, 1200, 5.86, 6.0),
+    )
     scale = site.nominal_px_per_mm
     rng = np.random.default_rng(1)
     ratios = []
