@@ -35,6 +35,7 @@ COMMANDS = {
     "ledger": "What people say of spans of the record: notes, exclusions.",
     "export": "Write measurements as a table.",
     "send": "Pass rows on to MQTT and InfluxDB, each once.",
+    "sync": "Copy the record to the central database of many piers.",
     "analyse": "Days, temperature, trend, steps and creep, with confidence.",
     "plot": "Draw a figure of the record, PNG or SVG.",
     "report": "Write the record of a span as one HTML file.",

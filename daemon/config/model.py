@@ -16,7 +16,7 @@ from pydantic import Field, PrivateAttr, Strict
 
 from core.site import Site, StabilityBudget
 from daemon.config.alarm import AlarmSection
-from daemon.config.outputs import InfluxSection, MqttSection
+from daemon.config.outputs import FleetSection, InfluxSection, MqttSection
 from daemon.config.readings import MOST_READINGS, ReadingSection
 from daemon.config.report import ReportSection
 from daemon.config.simulation import SimulationSection
@@ -221,6 +221,7 @@ class Config(Section):
     report: ReportSection = ReportSection()
     mqtt: MqttSection = MqttSection()
     influx: InfluxSection = InfluxSection()
+    fleet: FleetSection = FleetSection()
     web: WebSection = WebSection()
     log: LogSection = LogSection()
     replay: ReplaySection = ReplaySection()

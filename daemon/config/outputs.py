@@ -1,4 +1,4 @@
-"""`[mqtt]` and `[influx]`: where rows are sent."""
+"""`[mqtt]`, `[influx]` and `[fleet]`: where rows are sent."""
 
 from __future__ import annotations
 
@@ -82,3 +82,27 @@ class InfluxSection(Section):
         if (self.username is None) != (self.password_file is None):
             found.append("influx.username: needs password_file, and password_file needs username")
         return found
+
+
+class FleetSection(Section):
+    """`[fleet]`: the central PostgreSQL of many piers, and the archive of its closed months."""
+
+    url: str | None = Field(default=None, min_length=1)
+    password_file: Directory | None = None
+    archive: str | None = Field(default=None, min_length=1)
+    silent_min: float = Field(default=30.0, gt=0)
+
+    def problems(self) -> list[str]:
+        """Name values that cannot be used."""
+        if self.url is None:
+            return []
+        try:
+            parts = urlsplit(self.url)
+            usable = parts.scheme in {"postgresql", "postgres"} and len(parts.path) > 1
+        except ValueError:
+            usable, parts = False, None
+        if not usable or parts is None:
+            return ["fleet.url: must be an address such as postgresql://dcam@central.example/dcam"]
+        if parts.password is not None:
+            return ["fleet.url: holds a password; use password_file"]
+        return []

@@ -122,7 +122,7 @@ def _contradictions(config: Config) -> list[str]:
                 f"[{low:g}, {high:g}]"
             )
     problems += config.simulation.problems(names)
-    problems += config.mqtt.problems() + config.influx.problems()
+    problems += config.mqtt.problems() + config.influx.problems() + config.fleet.problems()
     place = config.site_section
     if (place.latitude_deg is None) != (place.longitude_deg is None):
         problems.append(

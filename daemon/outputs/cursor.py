@@ -1,7 +1,4 @@
-"""How far an output has come in the record, kept on the disk: what was acknowledged stays so.
-
-The cursor moves over the order of writing, not that of slots, so that late rows are passed on too.
-"""
+"""How far an output has come in the record, kept on the disk: what was acknowledged stays so."""
 
 from __future__ import annotations
 
@@ -15,10 +12,7 @@ from daemon.durable import make_directory_durable, write_durable
 from daemon.errors import HardwareError
 from daemon.file_errors import file_error_text
 from daemon.store.arrivals import Arrival, Arrivals
-
-SCHEMA = 1
-DENSE = 32
-"""Of the rows passed on last each is remembered, of those before one in two, in four ..."""
+from daemon.store.progress import Progress
 
 
 class CursorError(HardwareError):
@@ -30,12 +24,7 @@ class Cursor:
     """What one output was given."""
 
     path: Path
-    row_id: int = 0
-    """All rows up to this were passed on."""
-    passed: dict[int, str] = field(default_factory=dict)
-    """Slots of some of them by id, the last ones and fewer the older: to know the record again."""
-    redated: dict[int, str] = field(default_factory=dict)
-    """Slots under which rows whose time was put right were passed on, by id."""
+    progress: Progress = field(default_factory=Progress)
 
     def begin(self, arrivals: Arrivals, *, history: bool, again_since: datetime | None) -> None:
         """Begin where the file says; without one at the record's beginning, or at its end.
@@ -44,66 +33,21 @@ class Cursor:
         CursorError.
         """
         if not self._read():
-            self.row_id = 0 if history else arrivals.newest_id()
-            self.redated = dict(arrivals.redated(self.row_id))
-            self._remember(arrivals)
+            self.progress.start(arrivals, history=history)
         if again_since is not None:
-            self.row_id = min(self.row_id, arrivals.id_before(again_since))
+            before = arrivals.id_before(again_since)
+            self.progress.row_id = min(self.progress.row_id, before)
         self._write()
 
     def pending(self, arrivals: Arrivals, limit: int) -> list[Arrival]:
         """The next rows to pass on, in order; first those whose time was put right since."""
-        self._go_back(arrivals)
-        moved = [
-            row_id
-            for row_id, slot in arrivals.redated(self.row_id)
-            if self.redated.get(row_id) != slot
-        ]
-        if moved:
-            return arrivals.with_ids(moved[:limit])
-        return arrivals.after(self.row_id, limit)
+        return self.progress.pending(arrivals, limit)
 
     def advance(self, rows: Sequence[Arrival]) -> None:
         """Note that rows, the first of the pending ones, were acknowledged. Raises CursorError."""
-        if not rows:
-            return
-        for row in rows:
-            self.row_id = max(self.row_id, row.row_id)
-            self.passed[row.row_id] = row.slot
-            if row.values["redated_from_utc"] is not None:
-                self.redated[row.row_id] = row.slot
-        self._thin_out()
-        self._write()
-
-    def _go_back(self, arrivals: Arrivals) -> None:
-        """Go back to where the record still is what was passed on."""
-        known = sorted(self.passed, reverse=True)
-        for row_id in known:
-            found = arrivals.slot_of(row_id)
-            if found is not None and (found[0] == self.passed[row_id] or found[1]):
-                break
-            del self.passed[row_id]
-        else:
-            row_id = 0
-        if known and row_id != known[0]:
-            self.row_id = row_id
-            self.redated = {key: slot for key, slot in self.redated.items() if key <= row_id}
-
-    def _remember(self, arrivals: Arrivals) -> None:
-        """Remember rows that were there before the first was passed on."""
-        for back in (*range(DENSE), *(DENSE << power for power in range(32))):
-            found = arrivals.slot_of(self.row_id - back)
-            if found is not None:
-                self.passed[self.row_id - back] = found[0]
-
-    def _thin_out(self) -> None:
-        """Keep the last ones, and of older ones one of each span of twice as many rows."""
-        kept: dict[int, int] = {}
-        for row_id in sorted(self.passed):
-            back = self.row_id - row_id
-            span = -back if back < DENSE else back.bit_length()
-            kept.setdefault(span, row_id)
-        self.passed = {row_id: self.passed[row_id] for row_id in sorted(kept.values())}
+        if rows:
+            self.progress.note(rows)
+            self._write()
 
     def _read(self) -> bool:
         try:
@@ -115,9 +59,7 @@ class Cursor:
         except ValueError:
             content = None
         try:
-            self.row_id = int(content["row_id"])
-            self.passed = {int(key): str(slot) for key, slot in content["passed"].items()}
-            self.redated = {int(key): str(slot) for key, slot in content["redated"].items()}
+            self.progress.take(content)
         except (KeyError, TypeError, ValueError, AttributeError):
             msg = (
                 f"{self.path}: damaged: remove it, and send --again-since the time of the last rows"
@@ -126,14 +68,9 @@ class Cursor:
         return True
 
     def _write(self) -> None:
-        content = {
-            "schema": SCHEMA,
-            "row_id": self.row_id,
-            "passed": self.passed,
-            "redated": self.redated,
-        }
+        content = json.dumps(self.progress.content()).encode()
         try:
             make_directory_durable(self.path.parent)
-            write_durable(self.path, json.dumps(content).encode())
+            write_durable(self.path, content)
         except OSError as error:
             raise CursorError(file_error_text(error)) from error

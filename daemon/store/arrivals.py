@@ -17,7 +17,7 @@ from typing import Any
 
 from daemon.store.datum import columns_in_record_zero, read_datums
 from daemon.store.overview import Overview
-from daemon.store.reading import fetch, value, whole_rows
+from daemon.store.reading import fetch, proved_rows, value, whole_rows
 from daemon.store.revisions import require_head
 from daemon.store.runs import next_second
 from daemon.store.sqlite import connect_readonly, existing_path, said_plainly
@@ -26,7 +26,7 @@ from daemon.times import slot_text
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """A row, in the record's zero."""
+    """A row: in the record's zero, or as it is stored."""
 
     row_id: int
     slot: str
@@ -36,23 +36,25 @@ class Arrival:
 
 
 @contextmanager
-def open_arrivals(directory: Path) -> Iterator[Arrivals]:
+def open_arrivals(directory: Path, *, as_stored: bool = False) -> Iterator[Arrivals]:
     """Look at the rows of a state directory, all at one instant, beside a running daemon.
 
+    `as_stored` gives each as the table holds it, with its digest, and not in the record's zero.
     Raises StoreError, also within the block; what cannot be read yet may be tried again.
     """
     path = existing_path(directory)
     with said_plainly(path), closing(connect_readonly(path)) as connection:
         connection.execute("BEGIN").close()
         require_head(Overview(connection).revision(), path)
-        yield Arrivals(connection)
+        yield Arrivals(connection, as_stored=as_stored)
 
 
 class Arrivals:
     """Questions to a connection; its owner begins the transaction and ends it."""
 
-    def __init__(self, connection: sqlite3.Connection) -> None:
-        self._connection = connection
+    def __init__(self, connection: sqlite3.Connection, *, as_stored: bool = False) -> None:
+        self.connection = self._connection = connection
+        self._as_stored = as_stored
 
     def newest_id(self) -> int:
         """Of the row that was written last; 0 without rows."""
@@ -94,6 +96,9 @@ class Arrivals:
         return fetch(self._connection, query, until_id)
 
     def _rows(self, query: str, *parameters: object) -> list[Arrival]:
+        if self._as_stored:
+            stored = proved_rows(self._connection, "measurement", query, *parameters)
+            return [Arrival(row["id"], row["slot_utc"], row) for row in stored]
         rows = whole_rows(self._connection, "measurement", query, *parameters)
         if not rows:
             return []

@@ -6,7 +6,8 @@ import sqlite3
 from contextlib import closing
 from typing import Any
 
-from daemon.store.checksum import DIGEST, require_intact
+from daemon.store.checksum import DIGEST, not_as_written, require_intact
+from daemon.store.checksum_columns import damaged_rows
 
 
 def whole_rows(
@@ -20,6 +21,21 @@ def whole_rows(
     for row in rows:
         require_intact(table, row, row.pop(DIGEST))
     return rows
+
+
+def proved_rows(
+    connection: sqlite3.Connection, table: str, query: str, *parameters: object
+) -> list[dict[str, Any]]:
+    """Many rows by column with their digests, all columns of a table. Raises DamagedRowError."""
+    with closing(connection.execute(query, parameters)) as cursor:
+        names = [column[0] for column in cursor.description]
+        rows = cursor.fetchall()
+    if not rows:
+        return []
+    columns = dict(zip(names, zip(*rows, strict=True), strict=True))
+    for place in damaged_rows(table, columns):
+        raise not_as_written(table, dict(zip(names, rows[place], strict=True)))
+    return [dict(zip(names, row, strict=True)) for row in rows]
 
 
 def fetch(connection: sqlite3.Connection, query: str, *parameters: object) -> list[Any]:

@@ -1,0 +1,1 @@
+"""Many piers: one record of all in a central database."""

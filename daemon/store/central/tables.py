@@ -1,0 +1,142 @@
+"""The central tables: a site's own, column by column from the same models, behind its number.
+
+The central revisions make them (a test holds the two together). `site` is the central database's
+own: who there is, how far each has come, and how it said it was.
+"""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+from sqlalchemy import (
+    BigInteger,
+    Boolean,
+    Column,
+    Float,
+    Identity,
+    Index,
+    Integer,
+    MetaData,
+    PrimaryKeyConstraint,
+    SmallInteger,
+    Table,
+    Text,
+)
+from sqlalchemy.dialects.postgresql import JSONB
+
+from daemon.store.checksum import DIGEST
+from daemon.store.schema import (
+    ActivationRow,
+    Base,
+    CalibrationRow,
+    DatumRow,
+    EventRow,
+    GapRow,
+    Instant,
+    LedgerRow,
+    MarkRow,
+    MeasurementRow,
+    Slot,
+)
+
+CENTRAL = MetaData()
+
+SITE = Table(
+    "site",
+    CENTRAL,
+    Column("id", Integer, Identity(), primary_key=True),
+    Column("name", Text, nullable=False, unique=True),
+    Column("identity", Text, nullable=False),
+    Column("revision", Text, nullable=False),
+    Column("version", Text, nullable=False),
+    Column("heard_utc", Instant, nullable=False),
+    Column("period_s", Integer, nullable=False),
+    Column("latitude_deg", Float),
+    Column("longitude_deg", Float),
+    Column("level", SmallInteger),
+    Column("summary", Text),
+    Column("status", JSONB),
+    Column("config", Text),
+    Column("last_slot_utc", Slot),
+    Column("progress", JSONB),
+    Column("event_id", BigInteger, nullable=False, server_default="0"),
+    Column("small", JSONB, nullable=False, server_default="{}"),
+    Column("rewritten", BigInteger, nullable=False, server_default="0"),
+)
+"""`rewritten` counts rows that went or changed, so that a copy knows when it must begin again."""
+
+
+def _central(model: type[Base], *key: str) -> Table:
+    """A model's table with the site's number before its columns and in its key."""
+    columns = [_copied(column) for column in cast("Table", model.__table__).columns]
+    return Table(
+        model.__tablename__,
+        CENTRAL,
+        Column("site_id", Integer, nullable=False),
+        *columns,
+        PrimaryKeyConstraint("site_id", *key),
+    )
+
+
+def _copied(column: Column[Any]) -> Column[Any]:
+    kind = BigInteger() if column.name == DIGEST else column.type
+    return Column(column.name, kind, nullable=column.nullable and not column.primary_key)
+
+
+MEASUREMENT = _central(MeasurementRow, "slot_utc")
+EVENT = _central(EventRow, "id", "time_utc")
+GAP = _central(GapRow, "id")
+CALIBRATION = _central(CalibrationRow, "id")
+ACTIVATION = _central(ActivationRow, "id")
+DATUM = _central(DatumRow, "id")
+LEDGER = _central(LedgerRow, "id")
+MARK = _central(MarkRow, "name")
+
+MIRRORED = (CALIBRATION, ACTIVATION, DATUM, LEDGER, GAP, MARK)
+"""Small tables, copied by what differs, in an order in which each names only what is there."""
+CHANGING = frozenset({GAP.name, MARK.name})
+"""Whose rows change and go; of the others each stays for good."""
+
+
+def key_of(table: Table) -> str:
+    """The column that names a row within its site."""
+    return next(column.name for column in table.primary_key if column.name != "site_id")
+
+
+Index("ix_site_level", SITE.c.level)
+
+
+def from_sqlite(table: Table, row: dict[str, Any], site_id: int) -> dict[str, Any]:
+    """A row as SQLite holds it, for the central table."""
+    from datetime import datetime
+
+    found: dict[str, Any] = {"site_id": site_id}
+    for name, value in row.items():
+        kind = table.c[name].type
+        if value is None:
+            found[name] = None
+        elif isinstance(kind, Slot):
+            found[name] = datetime.fromisoformat(value)
+        elif isinstance(kind, Boolean):
+            found[name] = bool(value)
+        else:
+            found[name] = value
+    return found
+
+
+def to_sqlite(table: Table, row: dict[str, Any]) -> dict[str, Any]:
+    """A central row as the site's SQLite held it, its digest with it."""
+    found: dict[str, Any] = {}
+    for name, value in row.items():
+        kind = table.c[name].type
+        if name == "site_id":
+            continue
+        if value is None:
+            found[name] = None
+        elif isinstance(kind, Slot):
+            found[name] = kind.text(value)
+        elif isinstance(kind, Boolean):
+            found[name] = int(value)
+        else:
+            found[name] = str(value) if kind.python_type is str else value
+    return found
