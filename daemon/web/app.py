@@ -29,6 +29,7 @@ from daemon.times import slot_text
 from daemon.version import VERSION
 from daemon.web import asking, slots
 from daemon.web.aim import StoredLook, live_fields
+from daemon.web.analyses import Analyses, analysis_asked, span_fields
 from daemon.web.answers import Answers, as_json, respond
 from daemon.web.asking import AskedWronglyError, only
 from daemon.web.follower import Follower
@@ -43,6 +44,9 @@ from daemon.web.worker import Worker, WorkerError
 HERE = Path(__file__).parent
 THREADS = 4
 """For questions to the database: more would only take memory."""
+FRAMES_DEADLINE_S = 60.0
+"""For one look; the first one may have loops to compile."""
+_PAGES = ("days", "analysis", "calibrations", "events", "aim")
 _WIDTHS = (0, 160, 320, 960)
 
 
@@ -58,7 +62,13 @@ class Page:
         self.metrics = Metrics(settings)
         self.overviews = Overviews(settings, self.follower)
         self.answers = Answers()
-        self.worker = Worker(settings.site.config_path)
+        self.worker = Worker(
+            "daemon.web.finder",
+            settings.site.config_path,
+            does="looking at frames",
+            deadline_s=FRAMES_DEADLINE_S,
+        )
+        self.analyses = Analyses(settings)
         self.stored = StoredLook(self.record, self.worker)
         self._environment = Environment(
             loader=FileSystemLoader(HERE / "templates"), autoescape=True, auto_reload=False
@@ -190,6 +200,25 @@ class Page:
     def _last_week(self) -> tuple[datetime, datetime]:
         return self._last(7)
 
+    # Long work
+
+    async def analysis(self, request: Request) -> Response:
+        """Answer `/api/analysis`; without a span, of all rows."""
+        always = (asking.FIRST, asking.LAST)
+        asked = analysis_asked(
+            request.query_params, asking.span(request.query_params, lambda: always)
+        )
+        found = await self.analyses.answer(asked)
+        return self.answer(request, lambda: found)
+
+    async def comparison(self, request: Request) -> Response:
+        """Answer `/api/comparison`: beside the reference that `[report]` names."""
+        only(request.query_params, "since", "until")
+        always = (asking.FIRST, asking.LAST)
+        span = span_fields(asking.span(request.query_params, lambda: always))
+        found = await self.analyses.answer({"what": "comparison", **span})
+        return self.answer(request, lambda: found)
+
     # Frames
 
     async def targets(self, request: Request) -> Response:
@@ -279,6 +308,7 @@ def build_app(settings: Settings, live: Shown | None = None) -> Starlette:
             yield
         finally:
             await page.worker.close()
+            await page.analyses.close()
             await anyio.to_thread.run_sync(page.follower.stop)
 
     async def wrong(request: Request, error: Exception) -> Response:
@@ -323,7 +353,7 @@ def _routes(page: Page) -> list[Route | Mount]:
     return [
         Route("/", shown("overview")),
         Route("/metrics", metrics),
-        *(Route(f"/{name}", shown(name)) for name in ("days", "calibrations", "events", "aim")),
+        *(Route(f"/{name}", shown(name)) for name in _PAGES),
         Route("/slot/{slot}", slot_page),
         Route("/calibrations/{number:int}", calibration_page),
         Route("/api/overview", page.overview),
@@ -339,6 +369,8 @@ def _routes(page: Page) -> list[Route | Mount]:
         Route("/api/alarms", page.whole(page.alarms)),
         Route("/api/ledger", page.whole(slots.ledger)),
         Route("/api/datum", page.whole(slots.datum)),
+        Route("/api/analysis", page.analysis),
+        Route("/api/comparison", page.comparison),
         Route("/api/aim", page.aim),
         Route("/aim/{name}", page.aim_picture),
         Route("/frames/{slot}/{role}", page.frame),

@@ -7,8 +7,6 @@ JSON object a line and answers each with one: `python -m daemon.web.finder CONFI
 from __future__ import annotations
 
 import base64
-import json
-import os
 import sys
 from collections.abc import Mapping
 from datetime import datetime
@@ -19,16 +17,13 @@ import cv2
 import numpy as np
 
 from core.arrays import FloatArray
-from core.errors import CoreError
 from core.images import GreyImage
 from core.site import CirclesTarget, Site
 from daemon.calibration.view_check import ViewCheck, see_pair
 from daemon.config.reading import load_config
-from daemon.error_report import lines_of
-from daemon.errors import DcamError
 from daemon.preview.snapshot import take_snapshot
 from daemon.store.json_fields import plain
-from drivers.errors import DriverError
+from daemon.web.lines import answer_lines
 from drivers.frameset import read_image
 from drivers.protocols import CapturedFrame, CapturedPair
 
@@ -106,16 +101,8 @@ def _text(data: bytes) -> str:
 
 def main() -> None:
     """Answer until nobody asks any more."""
-    os.nice(10)  # a slot goes first
     site = load_config(Path(sys.argv[1])).site()
-    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what a library prints is no answer
-    for line in sys.stdin:
-        try:
-            said = answer(site, json.loads(line))
-        except (DcamError, DriverError, CoreError, OSError) as error:
-            said = {"error": "; ".join(lines_of(error))}
-        print(json.dumps(said), file=answers, flush=True)
+    answer_lines(lambda asked: answer(site, asked))
 
 
 if __name__ == "__main__":

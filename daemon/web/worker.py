@@ -1,4 +1,4 @@
-"""The page's side of its worker: started when it is needed, ended when it is idle or hangs."""
+"""The page's side of a worker: started when it is needed, ended when it is idle or hangs."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from typing import Any
 
 from daemon.loop_cache import loop_cache
 
-DEADLINE_S = 60.0
-"""For one answer; the first one may have loops to compile."""
 IDLE_S = 60.0
 MOST_WAITING = 12
 _LONGEST_ANSWER = 64 * 2**20
@@ -25,10 +23,12 @@ class WorkerError(Exception):
 
 
 class Worker:
-    """Answers one question after another."""
+    """Answers one question after another, by `python -m MODULE PATH ...`."""
 
-    def __init__(self, config: Path) -> None:
-        self._config = config
+    def __init__(self, module: str, *paths: Path, does: str, deadline_s: float) -> None:
+        self._command = (sys.executable, "-m", module, *map(str, paths))
+        self._does = does
+        self._deadline_s = deadline_s
         self._process: asyncio.subprocess.Process | None = None
         self._turn = asyncio.Lock()
         self._waiting = 0
@@ -37,7 +37,7 @@ class Worker:
     async def ask(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """Ask, and wait for the answer. Raises WorkerError."""
         if self._waiting >= MOST_WAITING:
-            msg = "too many frames are asked for at once; try again"
+            msg = f"{self._does}: too many ask at once; try again"
             raise WorkerError(msg)
         self._waiting += 1
         try:
@@ -50,7 +50,7 @@ class Worker:
         if self._idle is not None:
             self._idle.cancel()
         try:
-            async with asyncio.timeout(DEADLINE_S):
+            async with asyncio.timeout(self._deadline_s):
                 process = await self._running()
                 assert process.stdin is not None  # noqa: S101 - piped
                 assert process.stdout is not None  # noqa: S101 - piped
@@ -59,11 +59,11 @@ class Worker:
                 line = await process.stdout.readline()
         except TimeoutError:
             self._kill()
-            msg = f"the frames were not read within {DEADLINE_S:.0f} s; try again"
+            msg = f"{self._does}: no answer within {self._deadline_s:.0f} s; try again"
             raise WorkerError(msg) from None
         except (OSError, ValueError) as error:
             self._kill()
-            msg = f"the frames cannot be read: {error}"
+            msg = f"{self._does}: {error}"
             raise WorkerError(msg) from None
         except asyncio.CancelledError:  # the next answer must not be taken for the next question's
             self._kill()
@@ -71,7 +71,7 @@ class Worker:
         self._idle = asyncio.get_running_loop().call_later(IDLE_S, self._kill)
         if not line:
             self._kill()
-            msg = "the process that reads frames ended; the log of dcam-web says why"
+            msg = f"{self._does}: the process ended; the log of dcam-web says why"
             raise WorkerError(msg)
         said: dict[str, Any] = json.loads(line)
         if "error" in said:
@@ -82,7 +82,7 @@ class Worker:
         if self._process is None or self._process.returncode is not None:
             cache = loop_cache()
             self._process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "daemon.web.finder", str(self._config)),
+                *self._command,
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 limit=_LONGEST_ANSWER,

@@ -23,6 +23,14 @@ SITE = (ROOT / "benchmarks/small.toml").read_text(encoding="utf-8")
 CONFIG = SITE.replace('name = "small"', 'name = "small"\ntimezone = "Europe/Zurich"')
 
 
+LEVELLING = """time,y_mm,sigma_mm
+2026-03-03T00:00:00Z,0.0,0.01
+2026-03-07T06:00:00Z,50.0,0.01
+2026-03-11T12:00:00Z,0.0,0.01
+"""
+"""Which the record, within some mm, cannot agree with."""
+
+
 @dataclass(frozen=True, slots=True)
 class Served:
     """Where the page is, and what its record has."""
@@ -45,7 +53,8 @@ def browser() -> Iterator[Browser]:
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     directory: Path = tmp_path_factory.mktemp("page")
     config = directory / "dcam.toml"
-    config.write_text(CONFIG)
+    config.write_text(f'{CONFIG}\n[report]\nreference = "levelling.csv"\n')
+    (directory / "levelling.csv").write_text(LEVELLING)
     record = write_record(directory / "state", load_config(config).site(), SLOTS)
     span = record.suspect, record.suspect + timedelta(minutes=30)
     painted = LedgerEntry(LedgerKind.EXCLUDE, "Eve", record.last, "plate painted", *span)

@@ -18,7 +18,7 @@ from daemon.times import slot_text
 from tests.daemon.web.browsing import Visit, visiting
 from tests.daemon.web.conftest import Served
 
-PAGES = ("/", "/days", "/events", "/calibrations", "/calibrations/1", "/aim")
+PAGES = ("/", "/days", "/analysis", "/events", "/calibrations", "/calibrations/1", "/aim")
 WIDE = {"viewport": {"width": 1280, "height": 900}, "color_scheme": "light"}
 PHONE = {
     "viewport": {"width": 390, "height": 844},
@@ -316,6 +316,21 @@ class TestOtherPages:
         expect(day.locator("img")).to_be_visible()
         day.get_by_role("link").click()
         assert visit.span() == ("2026-03-06T00:00:00Z", "2026-03-07T00:00:00Z")
+
+    def test_the_analysis_has_days_sentences_and_the_reference(
+        self, visit: Visit, served: Served
+    ) -> None:
+        visit.go("/analysis")
+        day = f"{served.record.peak:%Y-%m-%d}"
+        days = visit.page.get_by_role("group", name="Days").get_by_role("row", name=day)
+        expect(days).to_contain_text(f"{PEAK_MM:.3f}")
+        expect(visit.page.locator("#analysis")).to_contain_text("mm/year (95 %)")
+        comparison = visit.page.locator("#comparison")
+        expect(comparison).to_contain_text("levelling.csv")
+        expect(comparison).to_contain_text("the two do NOT agree")
+        visit.page.get_by_label("Direction").select_option("x")
+        visit.page.get_by_role("button", name="Go").click()
+        expect(days).not_to_contain_text(f"{PEAK_MM:.3f}")
 
     def test_gaps_and_events_are_tables_and_a_calibration_is_its_report(self, visit: Visit) -> None:
         visit.go("/events")
