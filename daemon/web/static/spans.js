@@ -47,13 +47,14 @@ const GRAVER = ["remark", "event", "datum", "gap", "flag-3", "excluded", "flag-4
 const graver = (a, b) => (GRAVER.indexOf(a) < GRAVER.indexOf(b) ? b : a);
 
 /** Spans of one lane in a window, those closer than `near` seconds put together: first those of one
- * kind; while there are too many, neighbours of any kind, which are shown as the graver. */
+ * kind; while there are too many, those of any kind that begin within `near`, shown as the graver. */
 export const together = (spans, lane, since, until, near, mixed = false) => {
   const groups = [];
   for (const span of spans) {
     if (span.lane !== lane || span.end < since || span.start > until) continue;
     const last = groups.at(-1);
-    if (last && span.start - last.end < near && (mixed || last.kind === span.kind)) {
+    const joins = last && (mixed ? span.start - last.start < near : span.start - last.end < near && last.kind === span.kind);
+    if (joins) {
       last.end = Math.max(last.end, span.end);
       last.count += 1;
       last.kind = graver(last.kind, span.kind);
