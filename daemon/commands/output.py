@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 JSON_SCHEMA = 1
 LINE_PERIOD_S = 10.0
 """How often a long work says on a pipe how far it has come."""
-_WORD, _ANSWER = 11, 80
-"""Columns of an answer's word, and of word and answer together."""
+PAGE = 80
+"""Columns of what people read line by line, on a pipe too; fewer on a narrower terminal."""
 _GAP = 2
 """Spaces between two columns."""
 _NARROWEST = 12
@@ -55,17 +55,35 @@ def say(text: str = "") -> None:
     print(_readable(text))
 
 
-def say_answer(word: str, text: str, colour: str) -> None:
-    """Print an answer behind its word in at most 80 columns; the word in colour on a terminal."""
-    indent = " " * _WORD
-    on_terminal = sys.stdout.isatty()
-    columns = min(_ANSWER, shutil.get_terminal_size().columns) if on_terminal else _ANSWER
-    width = columns - _WORD
-    lines = [f"{indent}{line}" for line in wrapped(_readable(text), width)] or [indent]
-    shown = f"{word:<{_WORD}}"
-    if on_terminal and not (os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"):
-        shown = click.style(shown, fg=colour, bold=True)
-    print("\n".join([shown + lines[0][_WORD:], *lines[1:]]).rstrip())
+def page_columns() -> int:
+    """How wide a line for people may be."""
+    return min(PAGE, shutil.get_terminal_size().columns) if sys.stdout.isatty() else PAGE
+
+
+def hanging(words: Sequence[str], widths: Sequence[int], text: str, colour: str = "") -> list[str]:
+    """Lay out words in columns so wide and the text behind them, wrapped at page_columns().
+
+    A first word that is too long has lines of its own. The last word is in colour on a terminal.
+    """
+    page, indent = page_columns(), sum(widths)
+    body = wrapped(_readable(text), max(page - indent, _NARROWEST)) or [""]
+    above = [] if len(words[0]) < widths[0] else wrapped(_readable(words[0]), page)
+    cells = ["" if above else words[0], *words[1:]]
+    padded = [f"{cell:<{columns}}" for cell, columns in zip(cells, widths, strict=True)]
+    if colour and padded[-1].strip() and _in_colour():
+        padded[-1] = click.style(padded[-1], fg=colour, bold=True)
+    lines = [*above, "".join(padded) + body[0], *(" " * indent + line for line in body[1:])]
+    return [line.rstrip() for line in lines]
+
+
+def for_terminal(text: str) -> list[str]:
+    """Give a line whole on a pipe, where a program reads it; wrapped on a terminal."""
+    return wrapped(_readable(text), page_columns()) if sys.stdout.isatty() else [_readable(text)]
+
+
+def _in_colour() -> bool:
+    plain_terminal = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    return sys.stdout.isatty() and not plain_terminal
 
 
 def wrapped(text: str, width: int) -> list[str]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import asdict
 from datetime import UTC, datetime
 
@@ -18,7 +20,7 @@ from daemon.commands.options import (
     pass_options,
     tz_option,
 )
-from daemon.commands.output import gap_fields, print_json, print_table, say, say_answer
+from daemon.commands.output import for_terminal, gap_fields, hanging, print_json, say
 from daemon.errors import StoreError, UsageError
 from daemon.status.answers import answers
 from daemon.status.facts import Facts, collect_facts
@@ -31,6 +33,10 @@ from daemon.store.records import Coverage
 from daemon.text import utc_text
 
 WATCH_S = 10.0
+_WORD = 11
+"""Columns of an answer's word."""
+_NAME, _STATE = 17, 10
+"""Columns of the table before its text."""
 COLOURS = {
     Level.OK: "green",
     Level.WARNING: "yellow",
@@ -74,8 +80,7 @@ def command(
 
 
 def _look(options: Options, at_utc: datetime | None, *, as_json: bool) -> Level:
-    facts = collect_facts(options.config, options.state, at_utc or datetime.now(UTC))
-    items = all_items(options.config, options.state, facts)
+    facts, items = _judged(options, at_utc)
     if as_json:
         print_json(status_fields(facts, items))
     else:
@@ -83,21 +88,40 @@ def _look(options: Options, at_utc: datetime | None, *, as_json: bool) -> Level:
     return worst(items)
 
 
+def _judged(options: Options, at_utc: datetime | None) -> tuple[Facts, list[Item]]:
+    """Look once; the database is closed when this returns."""
+    facts = collect_facts(options.config, options.state, at_utc or datetime.now(UTC))
+    return facts, all_items(options.config, options.state, facts)
+
+
 def _watch(options: Options, period_s: float) -> Level:
     """Look until Ctrl-C; a database that cannot be read now may be readable the next time."""
     level = Level.UNKNOWN
     try:
         while True:
-            click.clear()  # on a terminal alone
             try:
-                level = _look(options, None, as_json=False)
+                facts, items = _judged(options, None)
+                level, lines = worst(items), list(status_lines(facts, items))
             except StoreError as error:
-                level = tell_failure(error, as_json=False)
-            sys.stdout.flush()
+                why = no_verdict(error)
+                level, lines = why.level, for_terminal(f"DCAM {why.level.name} - {why.text}")
+            _redraw(lines)
             time.sleep(period_s)
     except KeyboardInterrupt:
         say()
         return level
+
+
+def _redraw(lines: list[str]) -> None:
+    """Show a look in place of the last one, cut to the screen; on a pipe below the last one."""
+    if sys.stdout.isatty():
+        click.clear()
+        room = shutil.get_terminal_size().lines - 1
+        if len(lines) > room:
+            lines = [*lines[: room - 1], "... the rest: dcam-ctl status"]
+    else:
+        lines = [*lines, ""]
+    print("\n".join(lines), flush=True)
 
 
 def tell_failure(error: Exception, *, as_json: bool) -> Level:
@@ -108,25 +132,32 @@ def tell_failure(error: Exception, *, as_json: bool) -> Level:
         fields = {"level": name.lower(), "code": level, "error": why.text}
         print_json({"command": "status", **fields})
     else:
-        say(f"DCAM {name} - {why.text}")
+        print("\n".join(for_terminal(f"DCAM {name} - {why.text}")))
     return level
 
 
 def print_status(facts: Facts, items: list[Item]) -> None:
-    """Print one line that a monitoring system shows, with its figures, answers, and a table."""
+    """Print what `status` shows people."""
+    for line in status_lines(facts, items):
+        print(line)
+
+
+def status_lines(facts: Facts, items: list[Item]) -> Iterator[str]:
+    """Give one line that a monitoring system shows, with its figures, answers, and a table."""
     level = worst(items)
     wrong = {item.text: item for item in items if item.level is level and level is not Level.OK}
     summary = "; ".join(f"{item.name}: {item.text}" for item in wrong.values()) or items[0].text
     said = f"DCAM {level.name} - {facts.site}: {summary}".replace("|", "/")  # figures follow a bar
-    say(f"{said} | {_figures(facts)}")
-    say()
+    yield from for_terminal(f"{said} | {_figures(facts)}")
+    yield ""
     for answer in answers(facts, items):
-        say_answer(answer.word, answer.text, COLOURS[answer.level])
-    say()
-    print_table(
-        ("what", "state", "as of " + utc_text(facts.now_utc.replace(microsecond=0))),
-        [(item.name, item.level.name.lower(), item.text) for item in items],
-    )
+        yield from hanging([answer.word], [_WORD], answer.text, COLOURS[answer.level])
+    yield ""
+    now = "as of " + utc_text(facts.now_utc.replace(microsecond=0))
+    yield from hanging(["what", "state"], [_NAME, _STATE], now)
+    for item in items:
+        words = [item.name, item.level.name.lower()]
+        yield from hanging(words, [_NAME, _STATE], item.text, COLOURS[item.level])
 
 
 def _figures(facts: Facts) -> str:

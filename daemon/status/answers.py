@@ -30,6 +30,8 @@ _TODO = {
 _SAYS_TODO = re.compile(
     "dcam-ctl|journalctl|start dcamd|chronyc|calibrate again|free some space|none yet|clock wrong"
 )
+_FIRST = (Level.CRITICAL, Level.WARNING, Level.UNKNOWN)
+"""In which order is told what is wrong."""
 _YEARS_FROM = 1000
 """Days that are said as years from here on."""
 
@@ -54,6 +56,7 @@ def answers(facts: Facts, items: Sequence[Item]) -> Iterator[Answer]:
     yield Answer("last good", good.text, good.level)
     yield from _value(facts, by_name)
     wrong = [item for item in items if item.level is not Level.OK]
+    wrong.sort(key=lambda item: _FIRST.index(item.level))
     for word, item in zip(("wrong", *[""] * len(wrong)), wrong, strict=False):
         yield Answer(word, f"{item.name}: {_with_todo(item)}", item.level)
     if not wrong:

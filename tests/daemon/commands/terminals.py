@@ -63,7 +63,7 @@ def on_terminal(columns: int, arguments: list[str], **more: str) -> str:
     with subprocess.Popen(
         arguments,
         cwd=ROOT,
-        env=environment(TERM="dumb", **more),
+        env=environment(**{"TERM": "dumb", **more}),
         stdin=subprocess.DEVNULL,
         stdout=its,
         stderr=its,

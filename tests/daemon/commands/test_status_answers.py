@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import pty
 import re
 import signal
+import struct
 import subprocess
+import termios
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,7 +19,14 @@ from rich.cells import cell_len
 from daemon.lock import sole_writer
 from daemon.store.records import GapCause
 from tests.daemon.commands.conftest import DARK, MINUTE, Ctl, Site
-from tests.daemon.commands.terminals import ASCII_LOCALE, ROOT, environment, on_pipe, program
+from tests.daemon.commands.terminals import (
+    ASCII_LOCALE,
+    ROOT,
+    environment,
+    on_pipe,
+    on_terminal,
+    program,
+)
 from tests.waiting import PATIENCE_S
 
 WORDS = ["measuring", "last good", "value", "wrong", "complete", "disk"]
@@ -26,8 +36,8 @@ def answers(out: str) -> dict[str, str]:
     """The answers by their words; each line is at most 80 columns wide."""
     lines = out.splitlines()
     block = lines[lines.index("") + 1 :]
+    assert max(map(len, block)) <= 80, block  # the table as well
     block = block[: block.index("")]
-    assert max(map(len, block)) <= 80, block
     found: dict[str, str] = {}
     for line in block:
         word = line[:11].strip() or list(found)[-1]
@@ -85,13 +95,15 @@ def test_watch_looks_again_until_it_is_interrupted(site: Site) -> None:
     """On a terminal: the screen is cleared, words are coloured, the last verdict is the code."""
     command = ("--config", site.config, "--state", site.state, "status", "--watch", "1")
     ours, its = pty.openpty()
+    fcntl.ioctl(its, termios.TIOCSWINSZ, struct.pack("HHHH", 12, 80, 0, 0))
     with subprocess.Popen(
         program(*command), cwd=ROOT, env=environment(TERM="xterm"), stdout=its, stderr=its
     ) as watching:
         os.close(its)
         seen = b""
-        while seen.count(b"measuring") < 2:
+        while seen.count(b"\x1b[2J") < 3:
             seen += os.read(ours, 65536)
+        held = [str(one.readlink()) for one in Path(f"/proc/{watching.pid}/fd").iterdir()]
         watching.send_signal(signal.SIGINT)
         while True:
             try:
@@ -103,11 +115,19 @@ def test_watch_looks_again_until_it_is_interrupted(site: Site) -> None:
     text = seen.decode()
     assert code == 2  # the record is years old
     assert "Traceback" not in text
-    assert text.count("\x1b[2J") >= 2
+    assert not [path for path in held if "dcam.db" in path]
+    _, first, _ = text.split("\x1b[2J", 2)
+    assert 8 < first.count("\r\n") < 12  # the first line stays on the screen
     assert re.search(r"\x1b\[31m\x1b\[1mmeasuring", text)
 
 
 def test_colours_are_for_terminals_that_want_them(site: Site) -> None:
+    command = program("--config", site.config, "--state", site.state, "status")
+    coloured = on_terminal(80, command, TERM="xterm")
+    assert "\x1b[31m\x1b[1mmeasuring " in coloured
+    assert "\x1b[32m\x1b[1mok " in coloured
+    assert "\x1b" not in on_terminal(80, command, TERM="xterm", NO_COLOR="1")
+    assert "\x1b" not in on_terminal(80, command, TERM="dumb")
     assert "\x1b" not in site.ctl("status").out
 
 
@@ -174,7 +194,7 @@ def test_wide_letters_keep_to_80_columns(site: Site, locale: dict[str, str]) -> 
     out = on_pipe(program(*command), **locale).stdout.decode()
     first, _, rest = out.partition("\n\n")
     assert first.startswith("DCAM ")
-    block = rest.partition("\n\n")[0].splitlines()
+    block = rest.splitlines()  # answers and table
     assert "camera_lost" in " ".join(block)
     assert max(map(cell_len, block)) <= 80, block
 
@@ -186,3 +206,34 @@ def test_a_bar_in_a_name_does_not_begin_the_figures(site: Site) -> None:
     said, figures = first.split("|")
     assert "east / west" in said
     assert figures.split()[0] == "age=60s"
+
+
+def test_the_worst_is_told_first(site: Site) -> None:
+    site.measure(400, DARK)
+    camera_lost(site)
+    wrong = answers(site.ctl("status", "--at", site.end.isoformat()).out)["wrong"]
+    assert wrong.index("cameras: ") < wrong.index("last good value: ")
+
+
+def test_watch_on_a_pipe_writes_one_block_after_the_other(site: Site) -> None:
+    command = program("--config", site.config, "--state", site.state, "status", "--watch", "1")
+    with subprocess.Popen(
+        command, cwd=ROOT, env=environment(), stdout=subprocess.PIPE, text=True
+    ) as watching:
+        assert watching.stdout is not None
+        lines: list[str] = []
+        while sum(line.startswith("DCAM ") for line in lines) < 2:
+            lines.append(watching.stdout.readline())
+        watching.send_signal(signal.SIGINT)
+        watching.stdout.read()
+        assert watching.wait(PATIENCE_S) == 2
+    assert lines[-2] == "\n"
+    assert "\x1b" not in "".join(lines)
+
+
+@pytest.mark.parametrize("columns", [60, 200])
+def test_on_a_terminal_every_line_is_wrapped(site: Site, columns: int) -> None:
+    command = program("--config", site.config, "--state", site.state, "status")
+    lines = on_terminal(columns, command, NO_COLOR="1").splitlines()
+    assert max(map(len, lines)) <= min(columns, 80)
+    assert lines[0].startswith("DCAM CRITICAL - bench: ")
