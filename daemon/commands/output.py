@@ -27,6 +27,7 @@ LINE_PERIOD_S = 10.0
 """How often a long work says on a pipe how far it has come."""
 PAGE = 80
 """Columns of what people read line by line, on a pipe too; fewer on a narrower terminal."""
+_MORE = " ..."
 _GAP = 2
 """Spaces between two columns."""
 _NARROWEST = 12
@@ -79,6 +80,14 @@ def hanging(words: Sequence[str], widths: Sequence[int], text: str, colour: str 
 def for_terminal(text: str) -> list[str]:
     """Give a line whole on a pipe, where a program reads it; wrapped on a terminal."""
     return wrapped(_readable(text), page_columns()) if sys.stdout.isatty() else [_readable(text)]
+
+
+def one_line(text: str) -> str:
+    """Cut a text at page_columns(); dots say that there is more."""
+    lines = wrapped(_readable(text), page_columns())
+    if len(lines) == 1:
+        return lines[0]
+    return wrapped(_readable(text), page_columns() - len(_MORE))[0] + _MORE
 
 
 def _in_colour() -> bool:

@@ -20,7 +20,7 @@ from daemon.commands.options import (
     pass_options,
     tz_option,
 )
-from daemon.commands.output import for_terminal, gap_fields, hanging, print_json, say
+from daemon.commands.output import for_terminal, gap_fields, hanging, one_line, print_json, say
 from daemon.errors import StoreError, UsageError
 from daemon.status.answers import answers
 from daemon.status.facts import Facts, collect_facts
@@ -143,12 +143,18 @@ def print_status(facts: Facts, items: list[Item]) -> None:
 
 
 def status_lines(facts: Facts, items: list[Item]) -> Iterator[str]:
-    """Give one line that a monitoring system shows, with its figures, answers, and a table."""
+    """Give one line that a monitoring system shows, answers, a table, and last its figures."""
+    for line in _lines_for_people(facts, items):
+        yield line.replace("|", "/")  # figures follow a bar
+    yield ""
+    yield from hanging(["figures |"], [_WORD], _figures(facts))
+
+
+def _lines_for_people(facts: Facts, items: list[Item]) -> Iterator[str]:
     level = worst(items)
     wrong = {item.text: item for item in items if item.level is level and level is not Level.OK}
     summary = "; ".join(f"{item.name}: {item.text}" for item in wrong.values()) or items[0].text
-    said = f"DCAM {level.name} - {facts.site}: {summary}".replace("|", "/")  # figures follow a bar
-    yield from for_terminal(f"{said} | {_figures(facts)}")
+    yield one_line(f"DCAM {level.name} - {facts.site}: {summary}")
     yield ""
     for answer in answers(facts, items):
         yield from hanging([answer.word], [_WORD], answer.text, COLOURS[answer.level])

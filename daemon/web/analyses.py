@@ -38,7 +38,7 @@ class Analyses:
         self._turn = asyncio.Lock()
 
     async def answer(self, asked: Mapping[str, Any]) -> dict[str, Any]:
-        """The answer, kept or worked out now. Raises WorkerError."""
+        """The answer, kept or worked out now. Raises WorkerError, AskedWronglyError."""
         key = orjson.dumps(asked)
         if (found := self._fresh(key)) is not None:
             return found

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from daemon.loop_cache import loop_cache
+from daemon.web.asking import AskedWronglyError
 
 IDLE_S = 60.0
 MOST_WAITING = 12
@@ -35,7 +36,7 @@ class Worker:
         self._idle: asyncio.TimerHandle | None = None
 
     async def ask(self, asked: Mapping[str, Any]) -> dict[str, Any]:
-        """Ask, and wait for the answer. Raises WorkerError."""
+        """Ask, and wait for the answer. Raises WorkerError, AskedWronglyError."""
         if self._waiting >= MOST_WAITING:
             msg = f"{self._does}: too many ask at once; try again"
             raise WorkerError(msg)
@@ -74,6 +75,8 @@ class Worker:
             msg = f"{self._does}: the process ended; the log of dcam-web says why"
             raise WorkerError(msg)
         said: dict[str, Any] = json.loads(line)
+        if "asked_wrongly" in said:
+            raise AskedWronglyError(said["asked_wrongly"])
         if "error" in said:
             raise WorkerError(said["error"])
         return said

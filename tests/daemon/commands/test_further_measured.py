@@ -95,8 +95,8 @@ def test_dcamd_records_each_target_and_status_export_and_capture_show_it(
         assert corrected is not None
         assert float(row["span-2_y_mm"]) == pytest.approx(corrected.mm[1], abs=1e-6)
     at = rows[-1].slot_utc.isoformat()
-    said = ctl(*base, "status", "--at", at).out
-    assert "target abutment  ok" in said
+    said = " ".join(ctl(*base, "status", "--at", at).out.split())
+    assert "target abutment ok" in said
     assert "fixed, no value (bad: target_not_found), last value 1 min ago" in said
     assert " mm over 30 d, sigma " in said
     looked = ctl(*base, "capture").out

@@ -305,13 +305,14 @@ def test_a_newer_database_is_unknown_and_a_damaged_one_critical(site: Site) -> N
 
 
 def test_first_line_is_what_a_monitoring_system_shows(site: Site) -> None:
-    """One line with verdict, value and figures; last a plain table, because this is no terminal."""
+    """One line with verdict and value; last, behind a bar, the figures, as of Nagios plugins."""
     with sole_writer(site.state):
         ran = site.ctl("status", "--at", "2026-03-01T00:09:30Z")
-    first, answers, table = ran.out.split("\n\n")
+    first, answers, table, _ = ran.out.split("\n\n")
     header, *rest = table.splitlines()
-    text, figures = first.split(" | ")
-    assert text.startswith("DCAM OK - bench: x +0.500 ± 0.100 mm, y -1.250 ± 0.200 mm, 30 s ago")
+    assert first.startswith("DCAM OK - bench: x +0.500 ± 0.100 mm, y -1.250 ± 0.200 mm, 30 s ago")
+    assert len(first) <= 80
+    _, figures = ran.out.split("|")
     assert "age=30s" in figures.split()
     assert "coverage_24h=100.00%" in figures.split()
     assert answers.startswith("measuring  yes, ")

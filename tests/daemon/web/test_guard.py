@@ -99,6 +99,8 @@ def test_hostile_paths_find_nothing(plain: Browser, path: str) -> None:
         ("/api/series?buckets=1&buckets=2", "buckets: given twice"),
         ("/api/spans?since=2026-03-01&until=inf", "until: 'inf' is no time"),
         ("/api/days?since=1970-01-01&until=2199-01-01", "at most 400 days"),
+        ("/api/analysis?axis=z", "axis: x or y"),
+        ("/api/analysis?point=nowhere", "point nowhere: no measured point of this name"),
         ("/api/slot/%27%20OR%201=1", "is no time"),
         ("/frames/2026-03-01T00:00:00Z/main?width=100000", "width"),
     ],
