@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from urllib.parse import urlencode
 
 from daemon.config.outputs import InfluxSection
+from daemon.outputs.certificates import certificate_refused, missing_file
 from daemon.outputs.line_protocol import lines_of_row
 from daemon.outputs.output import NotTakenError
 from daemon.outputs.secret import read_secret
@@ -49,13 +50,16 @@ class InfluxOutput:
             return
         import urllib3
 
+        if missing := missing_file({"influx.ca_file": self._settings.ca_file}):
+            raise NotTakenError(missing)
         measurement = self._settings.measurement
         lines = [line for row in rows for line in lines_of_row(row, measurement, self._site)]
         body = gzip.compress("\n".join([*lines, ""]).encode(), compresslevel=1)
         try:
             answer = self._pool.request("POST", self._address(), body=body, headers=self._headers())
         except (urllib3.exceptions.HTTPError, OSError) as error:
-            msg = f"influx.url: {self._settings.url}: {_reason(error)}"
+            why = certificate_refused(error, "influx.ca_file") or _reason(error)
+            msg = f"influx.url: {self._settings.url}: {why}"
             raise NotTakenError(msg) from error
         text = visible(answer.data[:_MOST_OF_AN_ANSWER].decode(errors="replace")).strip()
         taken = answer.status in {200, 204} or (answer.status in {400, 422} and _TOO_OLD in text)

@@ -15,6 +15,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from daemon.config.outputs import MqttSection
+from daemon.outputs.certificates import certificate_refused, missing_file
 from daemon.outputs.home_assistant import discovery
 from daemon.outputs.output import NotTakenError
 from daemon.outputs.row_fields import row_fields, slug
@@ -37,6 +38,7 @@ SESSION_S = 7 * 86_400
 _WAIT_S = 1.0
 """For something to arrive, before it is looked whether that takes too long."""
 
+_TLS_FILES = ("ca_file", "cert_file", "key_file")
 ONLINE, OFFLINE = "online", "offline"
 
 _Key = tuple[int, str]
@@ -176,7 +178,8 @@ class MqttOutput:
             else:
                 client.reconnect()
         except (OSError, ValueError, WebsocketConnectionError) as error:
-            self._fail(str(error) or type(error).__name__)
+            refused = certificate_refused(error, "mqtt.ca_file")
+            self._fail(refused or str(error) or type(error).__name__)
         self._pump(client, lambda: self._answer is not None, CONNECT_S)
         if not self._is_up:
             self._fail(f"refused: {self._answer.reason}")
@@ -196,6 +199,9 @@ class MqttOutput:
         client.max_inflight_messages_set(IN_FLIGHT)
         client.will_set(f"{self._topic}/status", OFFLINE, qos=1, retain=True)
         if settings.tls:
+            keys = {f"mqtt.{key}": getattr(settings, key) for key in _TLS_FILES}
+            if missing := missing_file(keys):
+                raise NotTakenError(missing)
             try:
                 files = (settings.ca_file, settings.cert_file, settings.key_file)
                 authority, certificate, key = (None if one is None else str(one) for one in files)

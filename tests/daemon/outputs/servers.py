@@ -6,10 +6,12 @@ import gzip
 import shutil
 import socket
 import socketserver
+import ssl
 import subprocess
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -30,6 +32,24 @@ def free_port() -> int:
 def listens(port: int) -> bool:
     with closing(socket.socket()) as probe:
         return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+@dataclass(frozen=True)
+class Identity:
+    """A key and a certificate of `127.0.0.1` that it signed itself: its own authority, too."""
+
+    certificate: Path
+    key: Path
+
+    @classmethod
+    def make(cls, directory: Path, name: str) -> Identity:
+        made = cls(directory / f"{name}.pem", directory / f"{name}.key")
+        words = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 2"
+        subject = f"-subj /CN={name} -addext subjectAltName=IP:127.0.0.1"
+        files = ["-out", made.certificate, "-keyout", made.key]
+        command = ["openssl", *words.split(), *subject.split(), *files]
+        subprocess.run(command, check=True, capture_output=True)
+        return made
 
 
 class Broker:
@@ -143,7 +163,9 @@ Trouble = Callable[[BaseHTTPRequestHandler], bool]
 class Points:
     """A server for line protocol, as strict about a point as InfluxDB: its key names it."""
 
-    def __init__(self) -> None:
+    def __init__(self, identity: Identity | None = None) -> None:
+        self.identity = identity
+        """With it the server speaks TLS."""
         self.bodies: list[str] = []
         self.requests: list[tuple[str, dict[str, str]]] = []
         self.refuse: list[int] = []
@@ -179,6 +201,10 @@ class Points:
                 pass
 
         self._server = ThreadingHTTPServer(("127.0.0.1", self.port), Handler)
+        if self.identity is not None:
+            context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+            context.load_cert_chain(self.identity.certificate, self.identity.key)
+            self._server.socket = context.wrap_socket(self._server.socket, server_side=True)
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     def stop(self) -> None:
@@ -194,9 +220,9 @@ class Points:
 
 
 @contextmanager
-def points_server() -> Iterator[Points]:
+def points_server(identity: Identity | None = None) -> Iterator[Points]:
     """A server that runs during the block."""
-    points = Points()
+    points = Points(identity)
     try:
         yield points
     finally:

@@ -25,12 +25,14 @@ SEED = 20261128
 class Subscriber:
     """Keeps whatever arrives, in order; its session outlives cuts."""
 
-    def __init__(self, port: int, topic: str) -> None:
+    def __init__(self, port: int, topic: str, ca_file: Path | None = None) -> None:
         self.messages: list[tuple[str, bytes, bool]] = []
         self._client = mqtt.Client(
             CallbackAPIVersion.VERSION2, client_id="archive", clean_session=False
         )
         self._client.reconnect_delay_set(1, 1)
+        if ca_file is not None:
+            self._client.tls_set(str(ca_file))
         self.is_ready = False
         self._client.on_connect = lambda client, *_: client.subscribe(topic, qos=2)
         self._client.on_subscribe = self._ready
