@@ -118,12 +118,15 @@ def _temperatures(
 
 
 CREEP_LAWS = ("logarithmic", "power", "double-exponential", "eurocode2", "aci209")
+OTHER_CREEP = ("mc2010", "b3", "mixture")
+"""What none of the laws that are fitted can follow exactly."""
 
 
 def make_creep(law: str, seed: int, days: int = 90) -> tuple[FloatArray, FloatArray, float]:
     """Times (n,) and hourly values (n,) since loading at BEGIN_S, and the true level on day 365.
 
-    Shapes are drawn evenly within the laws' usual bounds, 3 to 15 mm of creep, noise of days.
+    `law` is one of `CREEP_LAWS` or `OTHER_CREEP`. Shapes are drawn evenly within the laws' usual
+    bounds, 3 to 15 mm of creep, noise of days.
     """
     rng = np.random.default_rng(seed)
     hours = np.arange(366 * 24) / 24.0
@@ -156,6 +159,17 @@ def _course(law: str, rng: np.random.Generator, days: FloatArray) -> FloatArray:
             basic = rng.uniform(0.1, 0.4) * np.log1p((30.0 / 28.0 + 0.035) ** 2 * days)
             drying = (days / (rng.uniform(300.0, 1500.0) + days)) ** (1.0 / (2.3 + 3.5 / 28.0**0.5))
             found = basic + drying
+        case "b3":  # Bazant & Baweja: basic creep, and drying creep at 70 % humidity
+            basic = np.log1p(days**0.1)
+            dried = np.tanh(np.sqrt(days / by_ratio(100.0, 2000.0)))
+            drying = np.sqrt(np.maximum(np.exp(-8.0 * (1.0 - 0.3 * dried)) - np.exp(-8.0), 0.0))
+            share = rng.uniform(0.2, 0.8)
+            found = share * basic / basic[90 * 24] + (1.0 - share) * drying / drying[90 * 24]
+        case "mixture":  # of three of the laws, in shares that are all equally likely
+            shares = rng.dirichlet(np.ones(3))
+            laws = rng.choice(CREEP_LAWS, 3, replace=False)
+            parts = [_course(str(law), rng, days) for law in laws]
+            found = np.sum([s * p / p[90 * 24] for s, p in zip(shares, parts, strict=True)], axis=0)
         case _:
             share = rng.uniform(0.1, 0.9)
             fast, slow = by_ratio(1.0, 30.0), by_ratio(40.0, 1500.0)

@@ -129,6 +129,7 @@ def _creep(creep: Creep) -> dict[str, Any]:
     return {
         "values": creep.values,
         "sigma_mm": creep.sigma_mm,
+        "departure": creep.departure,
         "laws": [
             {
                 "law": one.law.value,

@@ -96,6 +96,10 @@ def _creep(creep: Creep) -> Iterator[str]:
             f"creep, {one.law.value}: {sum(one.sizes_mm):+.3f} mm until now, {shape}, "
             f"AICc {one.aicc - best:+.1f}, probability {one.probability:.3f}"
         )
+    yield (
+        f"creep: its rate departs from a law's by some {100.0 * creep.departure:.0f} %; "
+        "predictions allow for that"
+    )
     for prediction in creep.predictions:
         yield (
             f"creep, day {prediction.days:g} after loading: level {_mm(prediction.mm)} mm "

@@ -207,6 +207,19 @@ def test_creep_of_90_days_predicts_a_year_by_whatever_law() -> None:
     assert named >= 3
 
 
+def test_creep_that_follows_no_law_is_held_too_and_said_to_depart() -> None:
+    """Model Code 2010 is none of the laws: an interval over them alone held none of twelve."""
+    inside, departures = 0, []
+    for seed in range(4):
+        times_s, values_mm, truth = make_creep("mc2010", seed)
+        found = fit_creep(times_s, values_mm, BEGIN_S, [365.0])
+        (prediction,) = found.predictions
+        inside += prediction.mm.low <= truth <= prediction.mm.high
+        departures.append(found.departure)
+    assert inside >= 3
+    assert min(departures) >= 0.02
+
+
 def test_creep_of_a_few_days_is_refused_in_words() -> None:
     times_s, values_mm, _ = make_creep("power", seed=1)
     few = times_s < BEGIN_S + 5.0 * DAY_S
