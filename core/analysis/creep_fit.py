@@ -72,7 +72,8 @@ class Weights:
     ) -> Weights:
         """By the noise's covariance (n, n), with a departure of a relative error or without."""
         n, m = len(record.days), len(record.at_days)
-        between, asked = np.zeros((n, m)), np.zeros(m)
+        between: FloatArray = np.zeros((n, m))
+        asked: FloatArray = np.zeros(m)
         if departs is not None:
             covariance = covariance + size**2 * departs.within
             between, asked = size**2 * departs.between, size**2 * departs.asked

@@ -104,21 +104,3 @@ def test_it_is_raised_once_and_cleared(site: Site, web: WebServer, name: str) ->
     cleared = [one["name"] for one in history(site) if one["kind"] == "cleared"]
     assert name in cleared
     assert f"{name}: cleared" in web.texts()[-1]
-
-
-def test_a_disk_that_fills_is_raised_and_cleared(
-    site: Site, web: WebServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import shutil
-
-    configure(site, f'urls = ["{web.url}"]\nafter_min = 0')
-    real = shutil.disk_usage(site.state)
-    full = real._replace(free=100_000_000)
-    monkeypatch.setattr("daemon.status.facts.shutil.disk_usage", lambda _path: full)
-    look(site)
-    assert "disk: critical since" in web.texts()[0]
-    assert "free some space" in web.texts()[0]
-    empty = real._replace(free=10**12)
-    monkeypatch.setattr("daemon.status.facts.shutil.disk_usage", lambda _path: empty)
-    look(site)
-    assert "disk: cleared" in web.texts()[-1]
