@@ -1,10 +1,13 @@
 """For all tests: numerics with one thread, as in our programs. Loaded before anything of numpy."""
 
+import gc
 import os
 import signal
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -32,6 +35,37 @@ LONGEST_FIRST = (
     *("daemon/slots", "daemon/commands", "drivers/genicam", "daemon", "core"),
 )
 """Where tests take long; in this order, so that no process is left alone with them at the end."""
+
+
+COMPILING = pytest.StashKey[subprocess.Popen[bytes]]()
+
+gc.disable()  # until all is imported, of which nothing becomes garbage
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile the loops while the processes collect the tests, once for all of them."""
+    if session.config.getoption("numprocesses", None):  # not in the processes themselves
+        command = [sys.executable, "-m", "tests.all_loops"]
+        session.config.stash[COMPILING] = subprocess.Popen(command, cwd=HERE.parent)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_node_collection_finished(node: Any) -> None:
+    """Let no process begin before the loops are compiled; a failure is told by their tests."""
+    node.config.stash[COMPILING].wait()
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """End what compiles, where no test had to wait for it."""
+    if compiling := session.config.stash.get(COMPILING, None):
+        compiling.terminate()
+        compiling.wait()
+
+
+def pytest_collection_finish() -> None:
+    """What is there now stays: no search for garbage looks at it again."""
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

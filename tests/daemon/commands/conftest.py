@@ -30,7 +30,7 @@ from daemon.store.records import (
 from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
 from drivers.sim.settings import SimPlate, SimSettings
 from tests.laboratory import laboratory
-from tests.shared import shared_directory
+from tests.shared import new_state, shared_directory
 
 CONFIG = laboratory(640)
 """The laboratory site on sensors of a third of the pixels; no backend, as for `--from`."""
@@ -265,6 +265,7 @@ class Site:
 @pytest.fixture
 def site(tmp_path: Path, ctl: Ctl) -> Site:
     """A calibrated site with ten good rows."""
+    new_state(tmp_path / "state")
     made = Site(tmp_path, ctl)
     made.calibrate()
     made.measure(10)

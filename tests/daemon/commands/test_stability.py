@@ -45,7 +45,7 @@ class Watched:
     """A calibrated state with a fixed target in the calibration, and rows made by hand."""
 
     def __init__(self, bench: Path, calibrated: Path, directory: Path, ctl: Ctl) -> None:
-        self._ctl, self._config = ctl, bench / "dcam.toml"
+        self.any_ctl, self.config = ctl, bench / "dcam.toml"
         self.state = Path(shutil.copytree(calibrated, directory / "state"))
         self.number = self.calibrate()
         self.walk_urad = np.zeros(2)
@@ -100,7 +100,7 @@ class Watched:
                 )
 
     def ctl(self, *arguments: object) -> Ran:
-        return self._ctl("--config", self._config, "--state", self.state, "stability", *arguments)
+        return self.any_ctl("--config", self.config, "--state", self.state, "stability", *arguments)
 
 
 def seen(mm: np.ndarray) -> Measurement:
@@ -175,8 +175,8 @@ def test_the_lines_can_be_pasted_and_then_fit_the_record(watched: Watched, tmp_p
     watched.watch(20)
     lines = watched.ctl().out.partition("[stability]\n")[2]
     pasted = tmp_path / "pasted.toml"
-    pasted.write_text(watched._config.read_text() + "\n[stability]\n" + lines)
-    ran = watched._ctl("--config", pasted, "--state", watched.state, "stability", "--json")
+    pasted.write_text(watched.config.read_text() + "\n[stability]\n" + lines)
+    ran = watched.any_ctl("--config", pasted, "--state", watched.state, "stability", "--json")
     assert ran.code == 0, ran.err
     warmth, creep, _ = json.loads(ran.out)["verdicts"]
     for verdict in (warmth, creep):
