@@ -24,7 +24,9 @@ NAVIGATION = {
         *("compare", "report", "outputs"),
     ],
     "Reference": ["commands", "keys", "columns", "reasons", "conventions", "functions"],
-    "How it works": ["method", "architecture", "promises", "benchmarks", "decisions/README"],
+    "How it works": [
+        *("method", "architecture", "promises", "benchmarks", "scale", "decisions/README"),
+    ],
     "Studies": ["studies/README", *(f"studies/{name}" for name in STUDIES)],
     "Limits and changes": ["untested", "CHANGELOG"],
 }
