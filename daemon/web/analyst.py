@@ -19,8 +19,8 @@ from daemon.analysis.sentences import sentences
 from daemon.analysis.study import Asked
 from daemon.config.reading import Config, load_config
 from daemon.reports import beside_reference
-from daemon.reports.beside_reference import PointComparison, compare_with_reference
-from daemon.reports.reference import read_reference
+from daemon.reports.beside_reference import PointComparison, read_beside
+from daemon.reports.figure import ReferenceMarks
 from daemon.store.database import open_store_readonly
 from daemon.store.json_fields import plain
 from daemon.web.lines import answer_lines
@@ -55,13 +55,25 @@ def _analysis(
 def _comparison(config: Config, state: Path, since: datetime, until: datetime) -> dict[str, Any]:
     file = config.report.reference
     if file is None:
-        return {"reference": None, "comparisons": []}
-    reference = read_reference(file)
+        return {"reference": None, "comparisons": [], "marks": []}
+    how = beside_reference.Settings()
     with open_store_readonly(state) as store:
-        found = compare_with_reference(
-            store.path, reference, beside_reference.Settings(), since, until
-        )
-    return {"reference": reference.name, "comparisons": [_fields(one) for one in found]}
+        found = read_beside(store.path, file, how.zero, how.window_s, since, until)
+    return {
+        "reference": found.reference.name,
+        "comparisons": [_fields(one) for one in found.comparisons],
+        "marks": [_mark_fields(one) for one in found.marks],
+    }
+
+
+def _mark_fields(one: ReferenceMarks) -> dict[str, Any]:
+    """What the figures draw."""
+    return {
+        "quantity": f"{one.axis}_mm.{one.point}",
+        "times_s": (one.times.astype("datetime64[us]").astype("int64") * 1e-6).tolist(),
+        "mm": one.values_mm.tolist(),
+        "expanded_mm": one.expanded_mm.tolist(),
+    }
 
 
 def _fields(one: PointComparison) -> dict[str, Any]:

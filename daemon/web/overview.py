@@ -64,6 +64,7 @@ class Overviews:
             "readings": [{"name": name, "unit": unit} for name, unit in named.items()],
             "span": None if found is None else {"first": found[0], "last": found[1]},
             "building": self._building(),
+            "reference": None if (file := config.report.reference) is None else file.name,
         }
 
     def _collected(self) -> dict[str, Any]:

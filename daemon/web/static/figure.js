@@ -55,6 +55,7 @@ export class RecordFigure {
     this.point = "main";
     this.index = null;
     this.spans = [];
+    this.marks = [];
     this.makeTools();
     this.chosen = new Set((recall("panels", null)?.split(" ") ?? DEFAULT_PANELS));
     const [since, until] = this.fromAddress() ?? [this.last - 7 * 86400, this.last + 60];
@@ -114,7 +115,10 @@ export class RecordFigure {
       spec.title)));
     for (const panel of this.panels ?? []) panel.u.destroy();
     this.panels = specs.filter(({ id }) => this.chosen.has(id)).map((spec) => new Panel(spec));
+    for (const panel of this.panels) panel.lay(this.reference, this.marks);
     this.panelBox.replaceChildren(...this.panels.map((panel) => panel.node));
+    this.answer = null;
+    this.go(this.since, this.until); // the server works while the figures are made
     for (const panel of this.panels) {
       panel.start({ setCursor: [(u) => this.pointed(panel, u)] });
       listen(panel.u.over, {
@@ -125,8 +129,15 @@ export class RecordFigure {
         click: (x, y) => this.clicked(panel, x, y),
       });
     }
-    this.answer = null;
-    this.go(this.since, this.until);
+  }
+
+  /** Lay a reference over the values: marks of /api/comparison. */
+  lay(name, marks) {
+    this.reference = name;
+    this.marks = marks;
+    for (const panel of this.panels) panel.lay(name, marks);
+    this.draw();
+    this.settle();
   }
 
   choosePanel(id, wanted) {
@@ -203,7 +214,7 @@ export class RecordFigure {
     this.frame ??= requestAnimationFrame(() => this.draw());
     clearTimeout(this.timer);
     if (this.isCovered()) this.settle();
-    else if (this.idle ?? true) this.ask();
+    else if (this.idle ?? true) this.asking = this.ask();
     else this.timer = setTimeout(() => this.ask(), SETTLE_MS);
   }
 

@@ -89,14 +89,25 @@ const refresh = async () => {
   }
 };
 
-// The figure does not wait for the verdict.
+// The figure goes first: the verdict, and a reference that takes seconds, wait for its values.
 
-refresh();
+const showReference = async (figure) => {
+  try {
+    const { reference, marks } = await getJson("/api/comparison");
+    figure.lay(reference, marks);
+  } catch (error) {
+    figureNode.append(el("p", { class: "notice" }, t("reference_failed", { text: error.message })));
+  }
+};
+
 try {
-  const site = await getJson("/api/site");
+  const site = JSON.parse(document.getElementById("begin").textContent) ?? await getJson("/api/site");
   if (!window.uPlot) throw new Error(t("no_chart"));
-  new RecordFigure(figureNode, site, openSlot);
+  const figure = new RecordFigure(figureNode, site, openSlot);
+  await figure.asking;
+  if (site.reference) showReference(figure);
 } catch (error) {
   below(figureNode, el("p", { class: "notice" }, t("failed", { text: error.message })));
   figureNode.dataset.state = "failed";
 }
+refresh();

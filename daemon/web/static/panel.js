@@ -40,6 +40,7 @@ export class Panel {
     this.until = 1;
     this.spans = [];
     this.times = [];
+    this.marks = [];
     this.lines = spec.lines.map(() => ({ min: [], max: [], mean: [] }));
     this.plot = el("div", { class: "plot", role: "img", "aria-label": spec.title });
     this.keys = spec.lines.map((line, k) =>
@@ -50,6 +51,7 @@ export class Panel {
       el("figcaption", {},
         el("span", { class: "title" }, `${spec.title}${spec.unit ? `, ${spec.unit}` : ""}`),
         this.keys,
+        this.referenceKey = el("span", { class: "hint" }),
         spec.lines.some((line) => line.sigma) ? el("span", { class: "hint" }, t("band")) : null),
       this.plot, this.details);
   }
@@ -82,7 +84,7 @@ export class Panel {
         paths: (u, _, first, last) => this.path(u, k, first, last),
         points: { show: (u, index, first, last) => (last - first) * 7 < u.over.clientWidth, size: 4 },
       }))],
-      hooks: { drawClear: [(u) => this.shade(u)], ...hooks },
+      hooks: { drawClear: [(u) => this.shade(u)], draw: [(u) => this.drawMarks(u)], ...hooks },
     }, [[], ...this.spec.lines.map(() => [])], this.plot);
     this.u.over.classList.add("over");
   }
@@ -108,6 +110,41 @@ export class Panel {
     this.lines = this.spec.lines.map((line) => readLine(line, answer));
     this.spans = spans;
     this.u.setData([this.times, ...this.lines.map((line) => line.mean)], false);
+  }
+
+  /** Take those marks of a reference that are of its quantities. */
+  lay(name, marks) {
+    const drawn = new Set(this.spec.lines.map(({ quantity }) => quantity));
+    this.marks = marks.filter(({ quantity }) => drawn.has(quantity));
+    this.referenceKey.textContent = this.marks.length ? t("reference_key", { name }) : "";
+  }
+
+  /** The values of the reference in the window: {time, value, half}. */
+  markedInWindow() {
+    return this.marks.flatMap(({ times_s, mm, expanded_mm }) => times_s.map((time, k) => ({ time, value: mm[k], half: expanded_mm[k] })))
+      .filter(({ time }) => this.since <= time && time <= this.until);
+  }
+
+  /** A reference: a diamond at each value, a bar over its expanded uncertainty. */
+  drawMarks(u) {
+    const { ctx, bbox } = u;
+    const size = 5 * devicePixelRatio;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+    ctx.strokeStyle = ctx.fillStyle = colour("--ink");
+    ctx.lineWidth = 1.5 * devicePixelRatio;
+    ctx.beginPath();
+    for (const { time, value, half } of this.markedInWindow()) {
+      const [x, y] = [u.valToPos(time, "x", true), u.valToPos(value, "y", true)];
+      ctx.moveTo(x, u.valToPos(value - half, "y", true));
+      ctx.lineTo(x, u.valToPos(value + half, "y", true));
+      ctx.moveTo(x - size, y);
+      for (const [dx, dy] of [[0, -size], [size, 0], [0, size], [-size, 0]]) ctx.lineTo(x + dx, y + dy);
+    }
+    ctx.stroke();
+    ctx.restore();
   }
 
   /** Show a part of it. */
@@ -152,6 +189,9 @@ export class Panel {
     const ends = this.lines.map((line) => this.ends(line));
     let low = Math.min(...ends.map(([low]) => low));
     let high = Math.max(...ends.map(([, high]) => high));
+    for (const { value, half } of this.markedInWindow()) {
+      [low, high] = [Math.min(low, value - half), Math.max(high, value + half)];
+    }
     if (!Number.isFinite(low)) return [-1, 1];
     if (this.spec.zero) [low, high] = [Math.min(low, 0), Math.max(high, 0)];
     const pad = Math.max(0.06 * (high - low), this.spec.least ?? 1e-3);
@@ -258,6 +298,8 @@ export class Panel {
         ? t("line_says", { label: line.label, min: fixed(low, digits), max: fixed(high, digits), unit })
         : t("line_empty", { label: line.label });
     });
+    const marked = this.markedInWindow().length;
+    if (marked) lines.push(t("reference_says", { count: marked }));
     const span = t("until_time", { start: timeText(this.since), end: timeText(this.until) });
     this.plot.setAttribute("aria-label", t("panel_says", { title: `${this.spec.title}, ${span}`, lines: lines.join("; ") }));
     this.fillTable();

@@ -259,6 +259,15 @@ class TestFigure:
         visit.page.locator(".mark-excluded").focus()
         expect(readout).to_contain_text("exclude: plate painted (Eve)")
 
+    def test_a_reference_is_laid_over_the_values(self, visit: Visit) -> None:
+        visit.go("/")
+        expect(visit.panel("y").locator("figcaption")).to_contain_text("levelling.csv")
+        visit.page.get_by_role("button", name="all", exact=True).click()
+        plot = visit.panel("y").locator(".plot")
+        expect(plot).to_have_attribute("aria-label", re.compile("3 values of the reference"))
+        assert visit.panel("y").evaluate(LINE_PLACES.replace("--line-0", "--ink"))
+        assert "levelling.csv" not in visit.panel("temperature").inner_text()
+
     def test_hundreds_of_runs_of_two_flags_are_few_marks_that_say_both(self, visit: Visit) -> None:
         visit.go("/events")
         evenly = visit.page.evaluate(MARKS_OF_MANY_RUNS, 0)
