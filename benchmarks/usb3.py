@@ -1,15 +1,21 @@
 """A real `dcamd` on two USB3 Vision cameras that fail at random: `python -m benchmarks.usb3`.
 
-The bus is the tests' stand-in for libusb, the cameras are processes; the slots are a second apart.
-Every slot must be a row or a gap with its cause; without a fault each must be a row. Handles,
-threads and memory of `dcamd` must stay what they were.
+The bus is the tests' stand-in for libusb, the cameras are processes; the slots are a second apart,
+the shortest that a config takes. So that 3000 slots do not take an hour, several rigs run side by
+side, each with a bus, two cameras and a `dcamd` of its own. Every slot must be a row or a gap with
+its cause; without a fault each must be a row. Handles, threads and memory of `dcamd` must stay what
+they were. One more rig has a slot a minute, and shows what `dcamd` costs between slots.
 
 The cameras show night: the rows say that no target was found, which costs the least time.
+
+`--output FILE` keeps each rig's figures as a line of JSON, and what is there is not run again.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import os
 import random
 import sqlite3
 import subprocess
@@ -18,19 +24,25 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from datetime import datetime, timedelta
 from pathlib import Path
 
 from benchmarks.memory import resident_mb
 from tests.drivers.genicam.gige.bench import running
-from tests.drivers.genicam.usb3.bench import Usb3Process, environment, write_night
+from tests.drivers.genicam.usb3.bench import BUS, Usb3Process, environment, write_night
 from tests.laboratory import laboratory
 
 SERIALS = {"main": "15290000", "sub": "15290001"}
 PERIOD_S = 1
-LOOK_EVERY_S = 0.1
+LOOK_EVERY_S = 0.2
+MEMORY_EVERY = 50
+"""Slots, then faults, between two readings of the memory."""
+IDLE_PERIOD_S = 60
+IDLE_FOR_S = 40.0
+TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 PATIENCE_S = 120.0
 WIDTH_PX = 640
 OF_CAMERAS = {"camera_lost", "capture_failed"}
@@ -57,20 +69,30 @@ class Outcome:
     settled: tuple[int, int, float]
     end: tuple[int, int, float]
     """Open files, threads, resident MB of dcamd before the faults and at the end."""
+    longest_lost: int
+    """Most slots on end without a row for a camera's sake."""
+    unnamed: int
+    """Gaps without a detail; must be 0."""
+    memory_mb: list[float]
+    """Resident memory every MEMORY_EVERY slots, then every MEMORY_EVERY faults."""
+    errors: list[str]
+    """Lines of the log of an error's level."""
     log: list[str] = field(repr=False)
 
 
 class Site:
     """A site on the bus and its dcamd."""
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, bus: Path | None = None, period_s: int = PERIOD_S) -> None:
+        """`bus`: a directory of its own for the cameras; None: that of this process."""
         self.state = directory / "state"
         config = directory / "dcam.toml"
-        config.write_text(laboratory(WIDTH_PX, "aravis") + f"\n[schedule]\nperiod_s = {PERIOD_S}\n")
+        config.write_text(laboratory(WIDTH_PX, "aravis") + f"\n[schedule]\nperiod_s = {period_s}\n")
         image = write_night(directory, WIDTH_PX * 5 // 8, WIDTH_PX)
         self.cameras = {
-            role: Usb3Process(role, serial, [image]) for role, serial in SERIALS.items()
+            role: Usb3Process(role, serial, [image], bus=bus) for role, serial in SERIALS.items()
         }
+        self._environment = environment() | ({BUS: str(bus)} if bus else {})
         self._log = directory / "dcamd.log"
         self._command = [
             *(sys.executable, "-m", "daemon.main"),
@@ -82,7 +104,7 @@ class Site:
         """Run dcamd; it must end well."""
         with (
             self._log.open("w") as log,
-            subprocess.Popen(self._command, stderr=log, env=environment()) as process,
+            subprocess.Popen(self._command, stderr=log, env=self._environment) as process,
         ):
             try:
                 yield process
@@ -118,6 +140,17 @@ class Site:
             found |= {first + timedelta(seconds=k * PERIOD_S): cause for k in range(int(count))}
         return found
 
+    def accounted(self) -> int:
+        """Count the slots that are rows or in gaps."""
+        gaps = "SELECT COALESCE(SUM(slots), 0) FROM gap"
+        counts = self.query(f"SELECT COUNT(*) + ({gaps}) FROM measurement")
+        return int(counts[0][0]) if counts else 0
+
+    def rows(self) -> int:
+        """Count the rows."""
+        counts = self.query("SELECT COUNT(*) FROM measurement")
+        return int(counts[0][0]) if counts else 0
+
     def wait(self, condition: Callable[[], bool], what: str, usual_s: float = 0.0) -> None:
         """Look until it holds; RuntimeError if it does not, long after it usually does."""
         give_up_s = time.monotonic() + PATIENCE_S + 2.0 * usual_s
@@ -129,10 +162,8 @@ class Site:
 
     def wait_for_rows(self, n: int) -> None:
         """Wait for so many more slots with a row."""
-        before = sum(kind == "row" for kind in self.slots().values())
-        self.wait(
-            lambda: sum(kind == "row" for kind in self.slots().values()) >= before + n, "rows"
-        )
+        before = self.rows()
+        self.wait(lambda: self.rows() >= before + n, "rows")
 
 
 def fail(camera: Usb3Process, fault: str, seconds: float) -> None:
@@ -157,27 +188,31 @@ def fail(camera: Usb3Process, fault: str, seconds: float) -> None:
         camera.command("fault none")
 
 
-def measure_usb3(directory: Path, n_before: int, n_faults: int, seed: int) -> Outcome:
+def measure_usb3(
+    directory: Path, n_before: int, n_faults: int, seed: int, bus: Path | None = None
+) -> Outcome:
     """Run dcamd through slots without a fault, then through faults at random."""
-    choose = random.Random(seed)
-    site, faults = Site(directory), Counter[str]()
+    site, memory_mb = Site(directory, bus), list[float]()
     with running(*site.cameras.values()), site.daemon() as dcamd:
         site.wait_for_rows(2)
         before = site.slots()
-        site.wait(lambda: len(site.slots()) >= len(before) + n_before, "slots", n_before)
+        for n in [*range(MEMORY_EVERY, n_before, MEMORY_EVERY), n_before]:
+            wanted = len(before) + n
+            site.wait(lambda wanted=wanted: site.accounted() >= wanted, "slots", MEMORY_EVERY)
+            memory_mb.append(round(resident_mb(dcamd.pid), 1))
         quiet = {slot: kind for slot, kind in site.slots().items() if slot not in before}
         settled = _use(dcamd.pid)
-        for _ in range(n_faults):
-            role, fault = choose.choice(sorted(SERIALS)), choose.choice(FAULTS)
+        faults = Counter[str]()
+        for fault in _faults(site, n_faults, seed):
             faults[fault] += 1
-            fail(site.cameras[role], fault, choose.uniform(0.0, 2.0))
-            time.sleep(choose.uniform(0.0, 2.0))
+            if faults.total() % MEMORY_EVERY == 0:
+                memory_mb.append(round(resident_mb(dcamd.pid), 1))
         site.wait_for_rows(3)
         recovered = max(site.slots())
         enough = recovered + timedelta(seconds=5 * PERIOD_S)
         site.wait(lambda: max(site.slots()) >= enough, "slots after the last fault")
         end = _use(dcamd.pid)
-    slots = site.slots()
+    slots, log = site.slots(), site.log()
     step = timedelta(seconds=PERIOD_S)
     span = (max(slots) - min(slots)) // step + 1
     return Outcome(
@@ -190,8 +225,47 @@ def measure_usb3(directory: Path, n_before: int, n_faults: int, seed: int) -> Ou
         lost_after=sum(kind in OF_CAMERAS for slot, kind in slots.items() if slot > recovered),
         settled=settled,
         end=end,
-        log=site.log(),
+        longest_lost=_longest_lost(slots),
+        unnamed=int(site.query("SELECT COUNT(*) FROM gap WHERE detail = ''")[0][0]),
+        memory_mb=memory_mb,
+        errors=[line for line in log if "level=error" in line or "level=critical" in line],
+        log=log,
     )
+
+
+def _faults(site: Site, n: int, seed: int) -> Iterator[str]:
+    """Have cameras fail at random, and say how after each."""
+    choose = random.Random(seed)
+    for _ in range(n):
+        role, fault = choose.choice(sorted(SERIALS)), choose.choice(FAULTS)
+        fail(site.cameras[role], fault, choose.uniform(0.0, 2.0))
+        time.sleep(choose.uniform(0.0, 2.0))
+        yield fault
+
+
+def _longest_lost(slots: dict[datetime, str]) -> int:
+    longest = now = 0
+    for slot in sorted(slots):
+        now = now + 1 if slots[slot] in OF_CAMERAS else 0
+        longest = max(longest, now)
+    return longest
+
+
+def measure_idle(directory: Path, bus: Path | None = None) -> float:
+    """Share of one processor that dcamd takes between two slots, a minute apart."""
+    site = Site(directory, bus, IDLE_PERIOD_S)
+    with running(*site.cameras.values()), site.daemon() as dcamd:
+        site.wait_for_rows(1)
+        time.sleep((IDLE_PERIOD_S - IDLE_FOR_S) / 2)
+        before_s, began_s = _processor_s(dcamd.pid), time.monotonic()
+        time.sleep(IDLE_FOR_S)
+        return (_processor_s(dcamd.pid) - before_s) / (time.monotonic() - began_s)
+
+
+def _processor_s(pid: int) -> float:
+    """Processor time so far, user and system (proc(5), fields 14 and 15 of stat)."""
+    values = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    return (int(values[11]) + int(values[12])) / TICKS_PER_S
 
 
 def _use(pid: int) -> tuple[int, int, float]:
@@ -203,12 +277,53 @@ def _use(pid: int) -> tuple[int, int, float]:
 def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.usb3", description=__doc__)
-    parser.add_argument("--slots", type=int, default=3000, help="without a fault")
-    parser.add_argument("--faults", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--slots", type=int, default=3000, help="without a fault, of all rigs")
+    parser.add_argument("--faults", type=int, default=1000, help="of all rigs")
+    parser.add_argument("--rigs", type=int, default=5, help="side by side")
+    parser.add_argument("--seed", type=int, default=1, help="of the first rig")
+    parser.add_argument("--output", type=Path, default=Path("usb3.jsonl"))
     options = parser.parse_args()
+    done = {line["seed"] for line in _of_kind(options.output, "seed")}
+    seeds = range(options.seed, options.seed + options.rigs)
+    share = (options.slots // options.rigs, options.faults // options.rigs)
+    with ThreadPoolExecutor(options.rigs + 1) as pool:
+        runs = [pool.submit(_rig, seed, *share) for seed in seeds if seed not in done]
+        if not _of_kind(options.output, "idle"):
+            runs.append(pool.submit(_idle))
+        for run in as_completed(runs):
+            _keep(options.output, run.result())
+    for line in [*_of_kind(options.output, "idle"), *_of_kind(options.output, "seed")]:
+        print(json.dumps(line))
+
+
+@contextmanager
+def _scratch() -> Iterator[Path]:
+    # A short name: that of a socket has at most 107 characters.
     with tempfile.TemporaryDirectory(prefix="dcam-usb3-") as directory:
-        print(measure_usb3(Path(directory), options.slots, options.faults, options.seed))
+        yield Path(directory)
+
+
+def _rig(seed: int, n_slots: int, n_faults: int) -> dict[str, object]:
+    with _scratch() as directory:
+        outcome = measure_usb3(directory, n_slots, n_faults, seed, directory)
+    figures = {one.name: getattr(outcome, one.name) for one in fields(outcome)}
+    del figures["log"]
+    return {"seed": seed, **figures}
+
+
+def _idle() -> dict[str, object]:
+    with _scratch() as directory:
+        return {"idle": measure_idle(directory, directory)}
+
+
+def _keep(output: Path, line: dict[str, object]) -> None:
+    with output.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(line) + "\n")
+
+
+def _of_kind(output: Path, key: str) -> list[dict[str, object]]:
+    text = output.read_text(encoding="utf-8") if output.exists() else ""
+    return [line for line in map(json.loads, text.splitlines()) if key in line]
 
 
 if __name__ == "__main__":

@@ -74,9 +74,10 @@ def require_bus() -> Path:
 
 
 def environment() -> dict[str, str]:
-    """What a program needs so that Aravis finds the bus."""
+    """What a program needs so that Aravis finds the bus; another Aravis on the path stays there."""
     bus = require_bus()
-    return {**os.environ, BUS: str(bus), "LD_LIBRARY_PATH": str(library().parent)}
+    folders = [str(library().parent), os.environ.get("LD_LIBRARY_PATH", "")]
+    return {**os.environ, BUS: str(bus), "LD_LIBRARY_PATH": ":".join(filter(None, folders))}
 
 
 class Usb3Process(CameraProcess):
@@ -86,9 +87,15 @@ class Usb3Process(CameraProcess):
     place: ClassVar[str] = "--port"
 
     def __init__(
-        self, port: str, serial: str, images: Sequence[Path], options: Sequence[str] = ()
+        self,
+        port: str,
+        serial: str,
+        images: Sequence[Path],
+        options: Sequence[str] = (),
+        bus: Path | None = None,
     ) -> None:
-        super().__init__(str(require_bus() / f"{port}.usb"), serial, images, options)
+        """`bus`: another than that of this process."""
+        super().__init__(str((bus or require_bus()) / f"{port}.usb"), serial, images, options)
 
 
 def write_night(directory: Path, height_px: int, width_px: int) -> Path:
