@@ -160,6 +160,10 @@ class Site:
                 raise RuntimeError(msg)
             time.sleep(LOOK_EVERY_S)
 
+    def wait_for_slots(self, n: int) -> None:
+        """Wait until so many slots are accounted for in all."""
+        self.wait(lambda: self.accounted() >= n, "slots", MEMORY_EVERY * PERIOD_S)
+
     def wait_for_rows(self, n: int) -> None:
         """Wait for so many more slots with a row."""
         before = self.rows()
@@ -197,8 +201,7 @@ def measure_usb3(
         site.wait_for_rows(2)
         before = site.slots()
         for n in [*range(MEMORY_EVERY, n_before, MEMORY_EVERY), n_before]:
-            wanted = len(before) + n
-            site.wait(lambda wanted=wanted: site.accounted() >= wanted, "slots", MEMORY_EVERY)
+            site.wait_for_slots(len(before) + n)
             memory_mb.append(round(resident_mb(dcamd.pid), 1))
         quiet = {slot: kind for slot, kind in site.slots().items() if slot not in before}
         settled = _use(dcamd.pid)
