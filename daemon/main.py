@@ -18,6 +18,7 @@ from daemon.control.requests import ControlRequests, given_by_signals
 from daemon.control.run_state import make_runtime_directory
 from daemon.devices import require_backend
 from daemon.error_report import run
+from daemon.heap import return_large_blocks
 from daemon.lock import sole_writer
 from daemon.log import configure_log
 from daemon.retention.guard import relieve
@@ -61,6 +62,7 @@ def serve(installation: Installation, max_slots: int | None = None) -> None:
     config = installation.config
     require_backend(config)
     configure_log(config.log.format, config.log.level)
+    return_large_blocks()
     state = installation.state_directory
     requests: ControlRequests[Station] = ControlRequests()
     with given_by_signals(requests), sole_writer(state):

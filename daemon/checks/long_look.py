@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import itertools
 import logging
+import platform
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from daemon.checks.finding import Finding, failed
@@ -19,6 +22,7 @@ from daemon.config.reading import Config, Installation
 from daemon.devices import open_clock, open_pair_source
 from daemon.errors import DcamError
 from daemon.lock import sole_writer
+from daemon.version import VERSION
 from drivers.errors import DeviceError, DriverError
 from drivers.genicam.serial_number import as_on_usb
 from drivers.protocols import CapturedFrame, CapturedPair, Clock, FramePairSource, Role
@@ -32,14 +36,15 @@ ODD_RATE = 1e-3
 """A camera's clock off by more is no clock in ns."""
 ROLES: tuple[Role, Role] = ("main", "sub")
 SAYINGS = {
-    "camera_setting_not_applied": "reason",
-    "camera_setting_differs": "feature",
-    "camera_left_by_another": "found",
-    "camera_byte_order": "high_byte_first",
-    "stale_frame_refused": "frame_id",
-    "camera_lost": "error",
+    "camera_setting_not_applied": "not set: {reason}",
+    "camera_setting_differs": "{feature} is {actual}, {wanted} was asked for",
+    "camera_left_by_another": "left on by another program, now put right: {found}",
+    "camera_byte_order": "sends the high byte of deep pixels first: {high_byte_first}",
+    "camera_clock_went_back": "its clock went back, from {before_s:.3f} to {now_s:.3f} s",
+    "stale_frame_refused": "an old frame came once more: {frame_id}",
+    "camera_lost": "was lost: {error}",
 }
-"""Events of the drivers that belong into the report, with the field that says most."""
+"""Events of the drivers that belong into the report, and how it puts them."""
 
 
 @dataclass(slots=True)
@@ -60,6 +65,7 @@ def check_long(site: Installation) -> Iterator[Finding]:
     except (DriverError, DcamError, OSError) as error:
         yield failed("long", error)
         return
+    yield Finding("versions", "ok", _versions())
     yield Finding(
         "long pairs",
         "warning" if look.failures else "ok",
@@ -137,18 +143,32 @@ def _camera_clock(name: str, frames: list[CapturedFrame]) -> Finding:
     rate = camera_s / ours_s - 1.0 if ours_s else 0.0
     odd = max(abs(camera - ours) for camera, ours in steps)
     unsure = 2.0 * odd / ours_s if ours_s else 0.0  # our own times may be late by odd at both ends
-    text = f"{1e6 * rate:+.0f} ppm beside ours over {ours_s:.0f} s, {1e3 * odd:.1f} ms at most"
+    text = f"{round(1e6 * rate):+d} ppm beside ours over {ours_s:.0f} s, {1e3 * odd:.1f} ms at most"
     return Finding(name, "ok" if abs(rate) < ODD_RATE + unsure else "warning", text)
+
+
+def _versions() -> str:
+    """What was run: dcam, Python, the kernel, and the libraries on the way to the cameras."""
+    mapped = re.findall(r"/(lib(?:aravis|usb-1)\S*)", Path("/proc/self/maps").read_text("utf-8"))
+    python, kernel = platform.python_version(), platform.release()
+    parts = [f"dcam {VERSION}", f"Python {python}", f"Linux {kernel}", *sorted(set(mapped))]
+    return ", ".join(parts)
+
+
+def _plain(value: object) -> object:
+    """A camera's features with their values, as people write them."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {one}" for name, one in value.items())
+    return value
 
 
 def _said(serial: str, role: Role, events: list[Mapping[str, Any]]) -> list[str]:
     """What the driver logged of a camera, each once."""
     lines = []
     for event in events:
-        detail = SAYINGS.get(str(event.get("event")))
+        words = SAYINGS.get(str(event.get("event")))
         mine = event.get("serial") == serial or event.get("role") == role
         mine |= serial in str(event.get("reason", ""))
-        if detail is not None and mine:
-            extra = f", {event['actual']} for {event['wanted']}" if "wanted" in event else ""
-            lines.append(f"{event['event']} {event.get(detail)}{extra}")
+        if words is not None and mine:
+            lines.append(words.format_map({name: _plain(value) for name, value in event.items()}))
     return list(dict.fromkeys(lines))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -43,8 +44,13 @@ def test_the_long_look_reports_what_only_the_camera_knows(
     assert found["sub clock"][0] == "warning"
     assert "went back" in found["sub clock"][1]
     assert "1234.5 -> 1234.500" in found["main exposure"][1]
-    assert "ChunkModeActive" in found["main reports"][1]
+    left = "left on by another program, now put right: "
+    assert left in found["main reports"][1]
+    assert "ChunkModeActive True" in found["main reports"][1]
     assert "ChunkModeActive" not in found["sub reports"][1]
+    assert "its clock went back, from " in found["sub reports"][1]
+    versions = r"dcam \S+, Python 3\.\S+, Linux \S+, libaravis-0\.\d+\.so\.0\.\d+\.\d+, libusb"
+    assert re.match(versions, found["versions"][1])
 
 
 def test_long_goes_with_hardware_only(ctl: Ctl, tmp_path: Path) -> None:
