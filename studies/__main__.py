@@ -9,7 +9,7 @@ from pathlib import Path
 
 from studies.keep import ROOT, Keep
 
-STUDIES = ("numerical",)
+STUDIES = ("numerical", "laboratory", "peers", "sensitivity", "field")
 
 
 def main() -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from datetime import UTC, datetime
 from typing import Annotated, Literal
 
@@ -94,6 +95,7 @@ class SimulationSection(Section):
     bridge_daily_mm: float = Field(default=5.0, ge=0, le=1000.0)
     bridge_period_min: float = Field(default=1440.0, gt=0)
     bridge_small_mm: float = Field(default=0.3, ge=0, le=1000.0)
+    bridge_course: Annotated[tuple[Pair, ...], Strict(strict=False)] = ()
     vibration_mrad: float = Field(default=0.05, ge=0, le=10.0)
     ramp_min: float = Field(default=10.0, ge=0)
     night_light: float = Field(default=0.005, ge=0, le=1.0)
@@ -119,6 +121,7 @@ class SimulationSection(Section):
                 bridge_daily_mm=self.bridge_daily_mm,
                 bridge_period_min=self.bridge_period_min,
                 bridge_small_mm=self.bridge_small_mm,
+                bridge_course=self.bridge_course,
                 vibration_mrad=self.vibration_mrad,
                 ramp_min=self.ramp_min,
             ),
@@ -135,6 +138,9 @@ class SimulationSection(Section):
     def problems(self, plates: list[str]) -> list[str]:
         """Name values that do not go together; plates are the names of the site's further ones."""
         found = []
+        minutes = [minute for minute, _ in self.bridge_course]
+        if any(later <= earlier for earlier, later in itertools.pairwise(minutes)):
+            found.append("simulation.bridge_course: each point must be later than the one before")
         for number, scenario in enumerate(self.scenarios):
             if scenario.end_min is not None and scenario.end_min <= scenario.start_min:
                 found.append(

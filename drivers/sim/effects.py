@@ -21,6 +21,7 @@ BLUR_PX = 0.6
 INSECT_GREY = 0.03
 SNOW_GREY = 0.8
 COBWEB_GREY = 0.6
+RAIN_GREY = 0.5
 
 
 def draw_insect(
@@ -58,6 +59,20 @@ def draw_snow(image: Float32Array, rng: np.random.Generator) -> None:
         strength = rng.integers(120, 255)
         cv2.ellipse(mask, _point(at_px), axes, tilt, 0, 360, int(strength), -1, cv2.LINE_AA, SHIFT)
     _cover(image, mask, SNOW_GREY)
+
+
+def draw_rain(image: Float32Array, rng: np.random.Generator) -> None:
+    """Let drops fall before a veiled scene: faint streaks, nearly upright."""
+    image *= 0.85
+    image += 0.05
+    height, width = image.shape
+    mask = np.zeros(image.shape, np.uint8)
+    for _ in range(60):
+        at_px = rng.uniform(0.0, 1.0, 2) * (width, height)
+        fall_px = width * rng.uniform(0.02, 0.06) * np.array([rng.normal(0.0, 0.1), 1.0])
+        strength = int(rng.integers(30, 90))
+        cv2.line(mask, _point(at_px), _point(at_px + fall_px), strength, 1, cv2.LINE_AA, SHIFT)
+    _cover(image, mask, RAIN_GREY)
 
 
 def draw_glare(image: Float32Array, rng: np.random.Generator) -> None:

@@ -47,7 +47,12 @@ class TrueMotion:
         slow = motion.bridge_daily_mm * math.sin(2.0 * math.pi * minute / motion.bridge_period_min)
         fast = np.mean(np.sin(self._small_omega * minute + self._small_phase), axis=1)
         x, y = np.array([0.1 * slow, slow]) + motion.bridge_small_mm * fast
-        return self._envelope("bridge", minute) * np.array([x, y, 0.0])
+        moved = self._envelope("bridge", minute) * np.array([x, y, 0.0])
+        return np.asarray(moved + np.array([0.0, self._course_mm(minute), 0.0]))
+
+    def _course_mm(self, minute: float) -> float:
+        course = np.array(self._motion.bridge_course).reshape(-1, 2)
+        return float(np.interp(minute, course[:, 0], course[:, 1])) if len(course) else 0.0
 
     def _envelope(self, kind: ScenarioKind, minute: float) -> float:
         """1 inside the windows of a kind, 0 outside, a smooth ramp at their edges."""

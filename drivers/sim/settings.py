@@ -13,6 +13,7 @@ Disturbance = Literal[
     "insect_main",
     "insect_sub",
     "snow",
+    "rain",
     "glare",
     "cobweb",
     "cover",
@@ -69,6 +70,10 @@ class Motion:
     bridge_period_min: float = 1440.0
     bridge_small_mm: float = 0.3
     """Amplitude of the faster motion, periods of minutes."""
+    bridge_course: tuple[tuple[float, float], ...] = ()
+    """Minutes after the start and mm up, in time order: what happens to the bridge besides, as when
+    a slab is cast or concrete creeps. Straight between them, level before and after; no scenario
+    switches it."""
     vibration_mrad: float = 0.05
     """1 sigma of the rig's turn about each axis, another one at each instant of a `vibration`."""
     vibration_apart: float = 0.1

@@ -15,7 +15,15 @@ from core.site import Site
 from drivers.protocols import Image, Role
 from drivers.sim.breathing import Breath, TrueBreathing, pose_by_shift
 from drivers.sim.climate import TrueClimate
-from drivers.sim.effects import draw_cobweb, draw_cover, draw_glare, draw_insect, draw_snow, haze_mm
+from drivers.sim.effects import (
+    draw_cobweb,
+    draw_cover,
+    draw_glare,
+    draw_insect,
+    draw_rain,
+    draw_snow,
+    haze_mm,
+)
 from drivers.sim.geometry import (
     TrueGeometry,
     bonded_again,
@@ -249,6 +257,8 @@ class World:
                 draw_insect(image, at_px, self._insect_px("sub"), rng)
         if self.active("snow", t_utc, role):
             draw_snow(image, rng)
+        if self.active("rain", t_utc, role):
+            draw_rain(image, rng)
         if self.active("cobweb", t_utc, role):
             draw_cobweb(image, rng)
         if self.active("cover", t_utc, role):

@@ -12,7 +12,7 @@ from tests.core.sessions import Session, session
 
 ROWS = 8
 CASES = (
-    *("night", "insect_main", "insect_sub", "snow", "glare"),
+    *("night", "insect_main", "insect_sub", "snow", "glare", "rain"),
     *("cobweb main", "cobweb sub", "cover main", "cover sub"),
 )
 

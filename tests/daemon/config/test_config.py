@@ -303,6 +303,10 @@ def test_every_mistake_is_reported_at_once(write) -> None:
             "[[simulation.scenarios]]\nkind = 'snow'\nstart_min = 3\nend_min = 3",
             r"simulation.scenarios\[0\].end_min: must be greater than start_min = 3, is 3",
         ),
+        (
+            "[simulation]\nbridge_course = [[5.0, 0.0], [5.0, -6.5]]",
+            "simulation.bridge_course: each point must be later than the one before",
+        ),
         ("[wifi]\nport = 80", "wifi: unknown key; known here"),
         ("[web]\nhost = 'pier'", 'web.host: "pier" is no address; write "127.0.0.1"'),
         ("[web]\ntoken = 'short'", "web.token: must have at least 16 characters"),

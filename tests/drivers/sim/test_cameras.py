@@ -167,6 +167,16 @@ def test_snow_veils_and_speckles() -> None:
     assert np.sum(main - clear > 50) > 20
 
 
+def test_rain_veils_and_streaks() -> None:
+    """Rain lowers the contrast of the scene, and its streaks are brighter than the black."""
+    clear, clear_sub = _both()
+    main, sub = _both(Scenario("rain", role="main"))
+    assert np.percentile(main, 2) > np.percentile(clear, 2) + 5
+    assert np.percentile(main, 99) < np.percentile(clear, 99) - 10
+    assert np.sum(main - clear > 20) > 20
+    np.testing.assert_array_equal(sub, clear_sub)
+
+
 def test_glare_saturates() -> None:
     """Glare drives its middle into saturation."""
     main, _ = _both(Scenario("glare", role="main"))

@@ -220,6 +220,19 @@ def test_everything_rests_before_the_start_and_moves_after() -> None:
     assert np.all(peak >= 0.2 * np.repeat([motion.drift_mrad / 1000.0, motion.drift_mm], 3))
 
 
+def test_a_slab_is_cast_and_creeps() -> None:
+    """The bridge's own course: straight between its points, level outside, switched by nothing."""
+    course = ((10.0, 0.0), (20.0, -6.5), (120.0, -14.5))
+    still = clean(scenarios=(), motion=Motion(bridge_course=course))
+    world = World(site(shrink=24), still)
+    down_mm = [
+        world.truth(START + timedelta(minutes=minute)).displacement_mm
+        for minute in (0, 10, 15, 20, 70, 120, 500)
+    ]
+    expected_mm = [0.0, 0.0, -3.25, -6.5, -10.5, -14.5, -14.5]
+    np.testing.assert_allclose(down_mm, [[0.0, mm] for mm in expected_mm], atol=1e-9)
+
+
 def test_motion_is_smooth() -> None:
     """Between frames a second apart the rig never jumps, at the edges of its windows neither."""
     settings = clean(scenarios=(Scenario("drift", 10, 60), Scenario("bridge", 20, 50)))
