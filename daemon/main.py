@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import click
 
@@ -21,12 +21,10 @@ from daemon.error_report import run
 from daemon.heap import return_large_blocks
 from daemon.lock import sole_writer
 from daemon.log import configure_log
-from daemon.retention.guard import relieve
-from daemon.slots.reporting import Reporter
-from daemon.slots.service import Service, Station
-from daemon.store.opening import damage_noted, open_checked_store
-from daemon.store.preparing import database_bytes
 from daemon.version import VERSION
+
+if TYPE_CHECKING:
+    from daemon.slots.service import Station
 
 CLOSE_LIMIT_S = 30.0
 """To close cameras and database, which have deadlines of their own."""
@@ -61,6 +59,14 @@ def serve(installation: Installation, max_slots: int | None = None) -> None:
     """
     config = installation.config
     require_backend(config)
+    # Numerics and database take a second and a half to load: help and a mistake in the config are
+    # told before.
+    from daemon.retention.guard import relieve
+    from daemon.slots.reporting import Reporter
+    from daemon.slots.service import Service
+    from daemon.store.opening import damage_noted, open_checked_store
+    from daemon.store.preparing import database_bytes
+
     configure_log(config.log.format, config.log.level)
     return_large_blocks()
     state = installation.state_directory

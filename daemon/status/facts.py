@@ -15,7 +15,6 @@ import numpy as np
 
 from core.quality.residual_ratio import WINDOW_ROWS, median_residual_ratio, residual_ratio
 from core.results import Flag
-from core.rig.stability import budget_sentence, stability_terms
 from daemon.clock.machine import read_boot_id, uptime_s
 from daemon.clock.time_sync import clock_is_synchronised
 from daemon.config.reading import Config
@@ -304,5 +303,7 @@ def _largest_term(
         return None
     site, image_mm = config.site(), float(np.sqrt(np.diag(corrected.image_mm2).max()))
     scale = site.nominal_px_per_mm
+    from core.rig.stability import budget_sentence, stability_terms  # loads Numba
+
     terms = stability_terms(site, scale, calibration.reference, last.moment)
     return budget_sentence(terms, scale, image_mm)

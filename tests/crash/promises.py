@@ -235,5 +235,5 @@ def _everything(state: Path) -> dict[str, Any]:
 def _gap_slots(connection: sqlite3.Connection) -> Iterator[tuple[datetime, str]]:
     query = "SELECT start_utc, slots, period_s, cause FROM gap"
     for start, slots, period_s, cause in connection.execute(query):
-        for number in range(slots):
-            yield datetime.fromisoformat(start) + number * timedelta(seconds=period_s), cause
+        first, step = datetime.fromisoformat(start), timedelta(seconds=period_s)
+        yield from ((first + number * step, cause) for number in range(slots))
