@@ -5,11 +5,12 @@ from __future__ import annotations
 import logging
 import os
 import pickle
+import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, cast
 
 from daemon.errors import DcamError, HardwareError, UsageError, WorkFailedError
 from daemon.reprocessing.chunks import Chunk, SeenChunk, Work, chunk_key, see_chunk_elsewhere
@@ -21,6 +22,9 @@ _AHEAD = 2
 """Chunks in flight for each thread of the workers: one at work, one that waits. More would only
 make a slow disk seek."""
 _CONNECT_S = 10.0
+ALONE_S = 120.0
+"""Without any worker, before the run is ended. Chosen: a worker starts anew in 5 to 30 s."""
+_LOOK_S = 5.0
 _TRIES = 3
 """Of a chunk whose storage does not answer."""
 
@@ -128,19 +132,19 @@ def seen_by_workers(
             known = client.submit(see_chunk_elsewhere, shared, chunk, pure=False, retries=_TRIES)
         waiting.append((key, known))
         while len(waiting) >= _AHEAD * max(sum(client.nthreads().values()), 1):
-            yield _settled(*waiting.popleft(), parts)
+            yield _settled(client, *waiting.popleft(), parts)
     while waiting:
-        yield _settled(*waiting.popleft(), parts)
+        yield _settled(client, *waiting.popleft(), parts)
 
 
-def _settled(key: str, known: Any, parts: Parts) -> bytes:
+def _settled(client: Any, key: str, known: Any, parts: Parts) -> bytes:
     """A chunk's result, kept for a run that goes on from here."""
     from distributed import KilledWorker
 
     if isinstance(known, bytes):
         return known
     try:
-        seen: SeenChunk = known.result()
+        seen = _awaited(client, known)
     except DcamError:
         raise
     except KilledWorker as error:
@@ -154,6 +158,22 @@ def _settled(key: str, known: Any, parts: Parts) -> bytes:
     _require_alike(seen.identity, "one that joined later")
     parts.save(key, seen.content)
     return seen.content
+
+
+def _awaited(client: Any, future: Any) -> SeenChunk:
+    """Wait for a chunk, as long as there are workers. Raises HardwareError, and what it raised."""
+    alone_since_s: float | None = None
+    while True:
+        try:
+            return cast("SeenChunk", future.result(timeout=_LOOK_S))
+        except TimeoutError:
+            if client.nthreads():
+                alone_since_s = None
+                continue
+        alone_since_s = alone_since_s or time.monotonic()
+        if time.monotonic() - alone_since_s > ALONE_S:
+            msg = f"no worker is left since {ALONE_S:.0f} s; start some, and run it again to go on"
+            raise HardwareError(msg)
 
 
 def cores() -> int:
