@@ -49,6 +49,12 @@ def _plain(value: Any) -> Any:
     return str(value)
 
 
+def packed(body: bytes, level: int) -> bytes:
+    """Bytes as gzip."""
+    packer = zlib.compressobj(level, zlib.DEFLATED, _GZIP)
+    return packer.compress(body) + packer.flush()
+
+
 def respond(request: Request, body: bytes) -> Response:
     """The answer of a request: 304 where the browser has it, packed where it takes that."""
     tag = f'W/"{hashlib.blake2b(body, digest_size=12).hexdigest()}"'
@@ -56,7 +62,6 @@ def respond(request: Request, body: bytes) -> Response:
     if tag in request.headers.get("if-none-match", ""):
         return Response(status_code=304, headers=headers)
     if len(body) >= LEAST_TO_PACK and "gzip" in request.headers.get("accept-encoding", ""):
-        packer = zlib.compressobj(1, zlib.DEFLATED, _GZIP)
-        body = packer.compress(body) + packer.flush()
+        body = packed(body, 1)
         headers["content-encoding"] = "gzip"
     return Response(body, media_type="application/json", headers=headers)

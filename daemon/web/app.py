@@ -19,8 +19,7 @@ from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
-from starlette.routing import Mount, Route
-from starlette.staticfiles import StaticFiles
+from starlette.routing import Route
 from starlette.types import Scope
 
 from daemon.errors import StoreError
@@ -39,6 +38,7 @@ from daemon.web.overview import Overviews, alarm_fields
 from daemon.web.record import Record
 from daemon.web.series import MOST_BUCKETS, Asked, newest_entry, quantities_of, series, spans
 from daemon.web.settings import Settings
+from daemon.web.static_files import StaticFiles
 from daemon.web.worker import Worker, WorkerError
 
 HERE = Path(__file__).parent
@@ -345,7 +345,7 @@ def build_app(settings: Settings, live: Shown | None = None) -> Starlette:
     )
 
 
-def _routes(page: Page) -> list[Route | Mount]:
+def _routes(page: Page) -> list[Route]:
     def shown(name: str) -> Callable[[Request], Response]:
         return lambda _request: page.html(name)
 
@@ -382,5 +382,5 @@ def _routes(page: Page) -> list[Route | Mount]:
         Route("/api/aim", page.aim),
         Route("/aim/{name}", page.aim_picture),
         Route("/frames/{slot}/{role}", page.frame),
-        Mount("/static", StaticFiles(directory=HERE / "static")),
+        Route("/static/{path:path}", StaticFiles(HERE / "static").answer),
     ]
