@@ -53,6 +53,8 @@ CUTS = {
 LOADED_BY_NAME = [
     *(f"matplotlib.backends.backend_{name}" for name in ("agg", "pdf", "svg")),
     *("sqlalchemy.dialects.sqlite", "click.shell_completion", "PIL.PngImagePlugin"),
+    *("sqlalchemy.dialects.postgresql.psycopg", "psycopg_binary"),
+    *("sqlalchemy.dialects.postgresql.psycopg", "psycopg_binary"),
     *("apprise.plugins", "reportlab.graphics.renderPDF", "numba.core.typed_passes"),
 ]
 """What libraries load themselves, by a name that they put together."""

@@ -15,6 +15,7 @@ from daemon.commands.options import (
     common_options,
     json_option,
     pass_options,
+    site_option,
     span_options,
     utc_time,
     with_excluded_option,
@@ -89,6 +90,7 @@ def _times(
 @with_excluded_option
 @span_options
 @json_option
+@site_option
 @common_options
 @pass_options
 def command(

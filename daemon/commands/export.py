@@ -15,6 +15,7 @@ from daemon.commands.options import (
     common_options,
     output_option,
     pass_options,
+    site_option,
     span_options,
 )
 from daemon.commands.output import note, progress, shown_zone
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     help="Of csv-plain: comma also puts semicolons between columns.",
 )
 @output_option
+@site_option
 @common_options
 @pass_options
 def command(

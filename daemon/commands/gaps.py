@@ -11,6 +11,7 @@ from daemon.commands.options import (
     common_options,
     json_option,
     pass_options,
+    site_option,
     span_options,
 )
 from daemon.commands.output import gap_fields, print_json, print_table, say
@@ -22,6 +23,7 @@ from daemon.text import utc_text
 @click.command("gaps", epilog="\b\nExample:\n  dcam-ctl gaps --since 30d")
 @span_options
 @json_option
+@site_option
 @common_options
 @pass_options
 def command(

@@ -17,8 +17,14 @@ import click
 
 from daemon.commands.output import ZONE, note, shown_zone
 from daemon.config.alarm import read_remains
-from daemon.config.reading import Config, Installation, find_config, find_installation
-from daemon.errors import HardwareError
+from daemon.config.reading import (
+    Config,
+    Installation,
+    find_config,
+    find_installation,
+    load_config,
+)
+from daemon.errors import HardwareError, UsageError
 from daemon.file_errors import file_error_text
 from daemon.zones import find_zone
 
@@ -31,6 +37,8 @@ class Options:
 
     config_flag: Path | None = None
     state_flag: Path | None = None
+    site: str | None = None
+    """A site of the central database, instead of this computer's own."""
     _found: Installation | None = field(default=None, repr=False)
 
     @property
@@ -41,9 +49,21 @@ class Options:
         """
         if self._found is None:
             found = find_installation(self.config_flag, self.state_flag)
+            if self.site is not None:
+                found = self._of_site(found)
             _require_usable(found.state_directory)
             self._found = found
         return self._found
+
+    def _of_site(self, own: Installation) -> Installation:
+        """The site's config and a copy of its record, from the central database."""
+        from daemon.fleet.site import fetch
+
+        if self.state_flag is not None:
+            msg = "--site reads the central database: leave out --state"
+            raise UsageError(msg)
+        fetched = fetch(own.config.fleet, str(self.site))
+        return Installation(fetched.config, load_config(fetched.config), fetched.state)
 
     @property
     def config(self) -> Config:
@@ -57,7 +77,7 @@ class Options:
         Where it is named, no config is needed to find it: a copied state can be read anywhere.
         """
         named = self.state_flag or os.environ.get("DCAM_STATE")
-        if not named:
+        if not named or self.site is not None:
             return self.installation.state_directory
         state = Path(named).absolute()
         _require_usable(state)
@@ -154,10 +174,19 @@ def common_options(function: Function) -> Function:
     return function
 
 
-def _keep(ctx: click.Context, parameter: click.Parameter, value: Path | None) -> None:
+def _keep(ctx: click.Context, parameter: click.Parameter, value: Any) -> None:
     if value is not None and parameter.name is not None:
         setattr(ctx.ensure_object(Options), parameter.name, value)
 
+
+site_option = click.option(
+    "--site",
+    metavar="NAME",
+    callback=_keep,
+    expose_value=False,
+    is_eager=True,
+    help="Read this site from the central database of [fleet], as of its last sync.",
+)
 
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object, for programs."

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from daemon.commands.options import Options, common_options, pass_options, span_options
+from daemon.commands.options import Options, common_options, pass_options, site_option, span_options
 from daemon.commands.output import note, progress, shown_zone
 from daemon.commands.output_files import new_file
 from daemon.commands.reference_options import reference_options
@@ -34,6 +34,7 @@ SUFFIXES = (".png", ".svg")
     help="Leave out what the quality ledger excludes; without it, it is hatched.",
 )
 @reference_options()
+@site_option
 @common_options
 @pass_options
 def command(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from daemon.commands.options import Options, common_options, pass_options, span_options
+from daemon.commands.options import Options, common_options, pass_options, site_option, span_options
 from daemon.commands.output import note, progress, shown_zone
 from daemon.commands.output_files import new_file
 from daemon.commands.reference_options import reference_options
@@ -48,6 +48,7 @@ _MONTHLY = "--monthly writes the last finished month by itself"
     metavar="N",
     help="Of the Monte Carlo that checks the statement of uncertainty; 0 leaves it out.",
 )
+@site_option
 @common_options
 @pass_options
 def command(

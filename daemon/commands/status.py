@@ -58,19 +58,35 @@ COLOURS = {
     metavar="SECONDS",
     help="Look again and again until Ctrl-C, every 10 s without a number.",
 )
+@click.option(
+    "--fleet",
+    is_flag=True,
+    help="All sites of the central database of [fleet], worst first.",
+)
 @at_option
 @json_option
 @tz_option
 @common_options
 @pass_options
 def command(
-    options: Options, period_s: float | None, at_utc: datetime | None, as_json: bool
+    options: Options,
+    period_s: float | None,
+    fleet: bool,
+    at_utc: datetime | None,
+    as_json: bool,
 ) -> int:
     """Tell how the site is: is it measuring, last value and its age, what is wrong, disk.
 
     First a line for monitoring systems, then the answers in 80 columns, then each thing that was
     looked at. Exit code 0 OK, 1 warning, 2 critical, 3 unknown, as monitoring systems expect it.
     """
+    if fleet:
+        from daemon.commands.status_fleet import look_at_fleet
+
+        if period_s is not None or at_utc is not None:
+            msg = "--fleet looks once, at the present: leave out --watch and --at"
+            raise UsageError(msg)
+        return look_at_fleet(options, as_json=as_json)
     if period_s is None:
         return _look(options, at_utc, as_json=as_json)
     if as_json or at_utc is not None:

@@ -85,11 +85,10 @@ class InfluxSection(Section):
 
 
 class FleetSection(Section):
-    """`[fleet]`: the central PostgreSQL of many piers, and the archive of its closed months."""
+    """`[fleet]`: the central PostgreSQL of many piers."""
 
     url: str | None = Field(default=None, min_length=1)
     password_file: Directory | None = None
-    archive: str | None = Field(default=None, min_length=1)
     silent_min: float = Field(default=30.0, gt=0)
 
     def problems(self) -> list[str]:

@@ -75,6 +75,8 @@ def test_what_the_service_needs_is_in_place(installed: Path) -> None:
         "lib/systemd/system/dcam-report.service",
         "lib/systemd/system/dcam-report.timer",
         "lib/systemd/system/dcam-send.service",
+        "lib/systemd/system/dcam-sync.service",
+        "lib/systemd/system/dcam-sync.timer",
         "lib/systemd/system/dcam-web.service",
         "lib/sysusers.d/dcam.conf",
         "lib/tmpfiles.d/dcam.conf",
@@ -303,7 +305,8 @@ def test_debian_package_holds_it_all(package: Path, tmp_path: Path) -> None:
     assert files["/usr/lib/dcam/venv/bin/dcamd"] == "-rwxr-xr-x"
     assert files["/usr/bin/dcam-ctl"].startswith("l")
     units = ("dcamd.service", "dcam-alarm.service", "dcam-alarm.timer")
-    units += ("dcam-report.service", "dcam-report.timer", "dcam-send.service", "dcam-web.service")
+    units += ("dcam-report.service", "dcam-report.timer", "dcam-send.service")
+    units += ("dcam-sync.service", "dcam-sync.timer", "dcam-web.service")
     for name in (
         *(f"lib/systemd/system/{unit}" for unit in units),
         "lib/udev/rules.d/60-dcam.rules",

@@ -111,8 +111,16 @@ class Proxy:
     None: never. Whatever is on its way is lost in both directions.
     """
 
-    def __init__(self, port: int, allowance: Callable[[], int | None]) -> None:
+    def __init__(
+        self,
+        port: int,
+        allowance: Callable[[], int | None],
+        at_bytes: int = 0,
+        then: Callable[[], None] = lambda: None,
+    ) -> None:
+        """After `at_bytes` in all `then` is called, once."""
         self._to, self._allowance = port, allowance
+        self._until, self._then = at_bytes, then
         self.cuts = 0
         self._listening = socket.create_server(("127.0.0.1", 0), backlog=256)
         self.port = int(self._listening.getsockname()[1])
@@ -125,6 +133,13 @@ class Proxy:
         for thread in self._threads:
             thread.join()
         self._listening.close()
+
+    def count(self, size: int) -> None:
+        """Take note of bytes that are about to go through."""
+        due = 0 < self._until <= size
+        self._until -= size
+        if due:
+            self._then()
 
     def _accept(self) -> None:
         while True:
@@ -163,6 +178,7 @@ class _Line:
                         self._proxy.cuts += 1
                         break
                     self._left -= len(data)
+                self._proxy.count(len(data))
                 target.sendall(data)
         for end in ends:
             with suppress(OSError):

@@ -50,6 +50,7 @@ def test_systemd_has_nothing_to_say_against_the_units(tmp_path: Path) -> None:
         tmp_path / name
         for name in (
             *("dcamd.service", "dcam-alarm.service", TIMER, "dcam-send.service"),
+            *("dcam-sync.service", "dcam-sync.timer"),
             "dcam-web.service",
         )
     ]
@@ -68,12 +69,12 @@ def test_systemd_has_nothing_to_say_against_the_units(tmp_path: Path) -> None:
 @needs_systemd
 @pytest.mark.parametrize(
     "name",
-    ["dcamd.service", "dcam-alarm.service", "dcam-send.service", "dcam-web.service"],
+    ["dcamd", "dcam-alarm", "dcam-send", "dcam-sync", "dcam-web"],
 )
 def test_systemd_rates_the_unit_as_locked_in(name: str) -> None:
     """At most 1.5 of 10; more would be reachable than two cameras, a serial port and its files."""
     result = subprocess.run(
-        ["systemd-analyze", "security", "--offline=true", "--threshold=15", str(UNITS / name)],
+        ["systemd-analyze", "security", "--offline=true", "--threshold=15", str(UNITS / f"{name}.service")],
         capture_output=True,
         text=True,
         check=False,

@@ -1,0 +1,185 @@
+"""A central PostgreSQL under many piers: `python -m benchmarks.fleet --help`.
+
+Two runs: a few piers with long records through cuts and restarts, and very many with a row a
+minute each. Each says whether every row is there once, how fast, and how large.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sqlite3
+import tempfile
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import insert, text
+
+from benchmarks.record import fill
+from daemon.fleet.sync import Sync
+from daemon.fleet.verdict import judge_fleet
+from daemon.outputs.backoff import Backoff
+from daemon.store.central.connecting import Central, connect_central, open_central, prepare
+from daemon.store.central.sites import read_sites
+from daemon.store.central.tables import SITE
+from daemon.store.central.writing import SiteFacts, write_rows
+from daemon.times import slot_text
+from tests.daemon.fleet.postgres import Proxy, Server, cut_at_random
+
+_MOST_BYTES = 15_000_000
+_BEGIN = datetime(2026, 3, 1, tzinfo=UTC)
+_PIERS_A_SECOND = 167
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.fleet", description=__doc__)
+    parser.add_argument("--rows", type=int, default=200_000, help="of all long records together")
+    parser.add_argument("--sites", type=int, default=10, help="with long records, in parallel")
+    parser.add_argument("--cuts", type=int, default=20)
+    parser.add_argument("--piers", type=int, default=10_000, help="with a row a minute")
+    parser.add_argument("--seconds", type=int, default=60, help="of the many piers")
+    options = parser.parse_args()
+    server = Server("shared_buffers=128MB", "max_connections=60")
+    try:
+        long_records(server, options.rows, options.sites, options.cuts)
+        many_piers(server, options.piers, options.seconds)
+    finally:
+        server.remove()
+
+
+def _new(server: Server, name: str) -> Central:
+    first = connect_central(server.url("postgres"), None)
+    with first.engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
+        connection.execute(text(f"CREATE DATABASE {name}"))
+    first.close()
+    central = connect_central(server.url(name), None)
+    prepare(central)
+    central.close()  # the server is restarted meanwhile
+    return central
+
+
+def long_records(server: Server, rows: int, sites: int, cuts: int) -> None:
+    """Piers with long records, all at once, through cuts and two restarts."""
+    central = _new(server, "long_records")
+
+    def restart(number: int) -> None:
+        if number in {sites + 3, sites + 9}:
+            server.stop()
+            server.start()
+
+    with tempfile.TemporaryDirectory() as scratch:
+        states = [Path(scratch) / f"pier-{number}" for number in range(sites)]
+        for state in states:
+            fill(state, rows // sites)
+        line = Proxy(server.port, cut_at_random(3, cuts, _MOST_BYTES, restart))
+        url, begin_s = server.url("long_records", line.port), time.monotonic()
+
+        def copy(state: Path) -> int:
+            sync = Sync(url, None, state, SiteFacts(state.name, 60), backoff=Backoff(0.1, 2.0))
+            return sync.run().outages
+
+        with ThreadPoolExecutor(sites) as pool:
+            outages = sum(pool.map(copy, states))
+        took_s = time.monotonic() - begin_s
+        line.close()
+        right = sum(_same(central, state) for state in states)
+        size = sum((state / "dcam.db").stat().st_size for state in states)
+    whole = _size(central)
+    print(f"{rows} rows of {sites} sites in {took_s:.0f} s, {rows / took_s:.0f} rows/s")
+    print(f"  {line.cuts} cuts, 2 restarts, {outages} outages seen")
+    print(f"  sites whose rows are all there once, by digest: {right} of {sites}")
+    print(f"  bytes a row: SQLite {size / rows:.0f}, PostgreSQL {whole / rows:.0f}", flush=True)
+    central.close()
+
+
+def _same(central: Central, state: Path) -> bool:
+    with closing(sqlite3.connect(state / "dcam.db")) as connection:
+        here = sorted(row[0] for row in connection.execute("SELECT digest FROM measurement"))
+    query = text(
+        "SELECT digest FROM measurement JOIN site ON site.id = site_id WHERE site.name = :name"
+    )
+    with central.transaction() as connection_there:
+        there = sorted(connection_there.scalars(query, {"name": state.name}))
+    return here == there
+
+
+def _size(central: Central) -> int:
+    """Bytes of the rows' months, with indexes."""
+    query = (
+        "SELECT sum(pg_total_relation_size(inhrelid)) FROM pg_inherits"
+        " WHERE inhparent = 'measurement'::regclass"
+    )
+    with central.transaction() as connection:
+        return int(connection.scalar(text(query)) or 0)
+
+
+def many_piers(server: Server, piers: int, seconds: int) -> None:
+    """Very many piers with a row a minute each; each row is a transaction of its own."""
+    central = _new(server, "many_piers")
+    with tempfile.TemporaryDirectory() as scratch:
+        fill(Path(scratch), 10)
+        with closing(sqlite3.connect(Path(scratch) / "dcam.db")) as connection:
+            connection.row_factory = sqlite3.Row
+            row = dict(connection.execute("SELECT * FROM measurement").fetchone())
+    sites: list[dict[str, Any]] = [
+        {
+            "name": f"pier-{number:05d}",
+            "identity": str(number),
+            "revision": "0010",
+            "version": "0.1.0",
+            "heard_utc": datetime.now(UTC),
+            "period_s": 60,
+            "level": 2 if number % 500 == 0 else 0,
+            "summary": "coverage 24 h: 99.9 %",
+        }
+        for number in range(piers)
+    ]
+    with central.transaction() as there:
+        there.execute(insert(SITE), sites)
+    numbers = [site.id for site in read_sites(central)]
+    total = seconds * _PIERS_A_SECOND
+    turns, lock, late_s = iter(range(total)), threading.Lock(), [0.0]
+    begin_s = time.monotonic()
+
+    def work(_worker: int) -> None:
+        own = open_central(server.url("many_piers"), None)
+        while True:
+            with lock:
+                turn = next(turns, None)
+            if turn is None:
+                break
+            due_s = begin_s + turn / _PIERS_A_SECOND
+            time.sleep(max(0.0, due_s - time.monotonic()))
+            minute, pier = divmod(turn, piers)
+            slot = slot_text(_BEGIN + timedelta(minutes=minute))
+            with own.transaction() as connection:
+                one = {**row, "id": minute + 1, "slot_utc": slot, "redated_from_utc": None}
+                write_rows(connection, numbers[pier], [one])
+                connection.execute(
+                    text("UPDATE site SET heard_utc = now(), progress = :at WHERE id = :site"),
+                    {"at": f'{{"row_id": {minute}}}', "site": numbers[pier]},
+                )
+            late_s[0] = max(late_s[0], time.monotonic() - due_s)
+        own.close()
+
+    with ThreadPoolExecutor(16) as pool:
+        list(pool.map(work, range(16)))
+    took_s = time.monotonic() - begin_s
+    with central.transaction() as there:
+        count = there.scalar(text("SELECT count(*) FROM measurement"))
+    begin_s = time.monotonic()
+    found = judge_fleet(read_sites(central), 1800.0)
+    status_s = time.monotonic() - begin_s
+    print(f"{piers} piers, {total} rows in {took_s:.0f} s, {total / took_s:.0f} rows/s")
+    print(f"  rows there, each once: {count} of {total}; latest row {late_s[0]:.1f} s late")
+    print(f"  status of {len(found)} sites in {status_s:.2f} s", flush=True)
+    central.close()
+
+
+if __name__ == "__main__":
+    main()

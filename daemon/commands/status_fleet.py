@@ -1,0 +1,64 @@
+"""`dcam-ctl status --fleet`: all sites of the central database, worst first."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from daemon.commands.options import Options
+from daemon.commands.output import print_json, print_table, say
+from daemon.fleet.opening import opened
+from daemon.fleet.verdict import SiteVerdict, fleet_level, judge_fleet
+from daemon.status.item import Level
+from daemon.store.central.sites import read_sites
+from daemon.text import utc_text
+
+MOST_LINES = 50
+"""Of the list for people; --json has all."""
+
+
+def look_at_fleet(options: Options, *, as_json: bool) -> Level:
+    """Print all sites; give the worst level. Raises ConfigError, CentralAwayError, StoreError."""
+    settings = options.config.fleet
+    with opened(settings) as central:
+        found = judge_fleet(read_sites(central), settings.silent_min * 60.0)
+    level = fleet_level(found)
+    if as_json:
+        print_json(
+            {
+                "command": "status",
+                "level": level.name.lower(),
+                "code": level,
+                "sites": [_fields(one) for one in found],
+            }
+        )
+        return level
+    counts = Counter(one.level for one in found)
+    said = ", ".join(f"{counts[one]} {one.name.lower()}" for one in Level if counts[one])
+    say(f"DCAM {level.name} - {len(found)} sites: {said or 'none yet'}")
+    say()
+    shown = found[:MOST_LINES]
+    rows = [(one.site.name, one.level.name.lower(), _slot(one), one.text) for one in shown]
+    print_table(("site", "state", "last slot", "what"), rows)
+    if len(found) > len(shown):
+        say(f"and {len(found) - len(shown)} more; --json has all")
+    return level
+
+
+def _slot(one: SiteVerdict) -> str:
+    last_utc = one.site.last_slot_utc
+    return utc_text(last_utc) if last_utc else "-"
+
+
+def _fields(one: SiteVerdict) -> dict[str, object]:
+    site = one.site
+    latitude_deg, longitude_deg = site.position_deg or (None, None)
+    return {
+        "site": site.name,
+        "level": one.level.name.lower(),
+        "text": one.text,
+        "heard_utc": site.heard_utc,
+        "last_slot_utc": site.last_slot_utc,
+        "latitude_deg": latitude_deg,
+        "longitude_deg": longitude_deg,
+        "version": site.version,
+    }

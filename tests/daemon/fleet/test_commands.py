@@ -1,0 +1,130 @@
+"""From outside: a `sync` that is killed, all sites in one list, one site read like a pier."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from sqlalchemy import text
+
+from benchmarks.record import fill
+from daemon.ctl import cli
+from daemon.error_report import run
+from daemon.store.central.connecting import connect_central
+from daemon.store.central.tables import MEASUREMENT
+from tests.daemon.fleet.conftest import Pier, sync
+from tests.daemon.fleet.postgres import Proxy, Server
+from tests.daemon.fleet.test_sync import rows_here, rows_there
+from tests.laboratory import laboratory
+from tests.waiting import PATIENCE_S
+
+
+@pytest.fixture
+def config(server: Server, central: str, tmp_path: Path) -> Path:
+    """A laboratory site with a central database."""
+    path = tmp_path / "dcam.toml"
+    path.write_text(with_url(server.url(central)))
+    return path
+
+
+def with_url(url: str) -> str:
+    return (
+        laboratory(640) + f'\n[alarm]\nurls = ["json://user:secret@host"]\n[fleet]\nurl = "{url}"\n'
+    )
+
+
+def site_name(config: Path) -> str:
+    return config.read_text().split('name = "')[1].split('"')[0]
+
+
+def ctl(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+    code = run(cli, "dcam-ctl", list(map(str, words)))
+    said = capsys.readouterr()
+    return code, said.out, said.err
+
+
+def test_a_sync_that_was_killed_in_the_middle_costs_nothing(
+    server: Server,
+    central: str,
+    config: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    state = tmp_path / "one"
+    fill(state, 2500)  # more than one transaction
+    rows = len(rows_here(state, MEASUREMENT))
+    program: list[subprocess.Popen[bytes]] = []
+
+    def none() -> None:
+        return None
+
+    def kill() -> None:
+        program[0].kill()
+
+    line = Proxy(server.port, none, at_bytes=1_500_000, then=kill)
+    config.write_text(with_url(server.url(central, line.port)))
+    words = ["-m", "daemon.ctl", "--config", config, "--state", state, "sync"]
+    program.append(subprocess.Popen([sys.executable, *words], stderr=subprocess.DEVNULL))
+    assert program[0].wait(PATIENCE_S) == -signal.SIGKILL
+    line.close()
+    name = site_name(config)
+    copied = len(rows_there(server.url(central), MEASUREMENT, name))
+    assert copied < rows
+    config.write_text(with_url(server.url(central)))
+    code, _, err = ctl(capsys, "--config", config, "--state", state, "sync")
+    assert (code, f"{rows - copied} rows" in err) == (0, True), err
+    there = rows_there(server.url(central), MEASUREMENT, name)
+    assert there == rows_here(state, MEASUREMENT)
+
+
+def test_sites_are_listed_worst_first(
+    server: Server, central: str, pier: Pier, config: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, level in (("good", 0), ("ill", 1), ("silent", 0)):
+        sync(server.url(central), pier(name, 1), name)
+        database = connect_central(server.url(central), None)
+        with database.transaction() as connection:
+            said = {"level": level, "name": name}
+            connection.execute(text("UPDATE site SET level = :level WHERE name = :name"), said)
+            if name == "silent":
+                late = "UPDATE site SET heard_utc = now() - interval '2 hours' WHERE name = :name"
+                connection.execute(text(late), said)
+        database.close()
+    code, out, _ = ctl(capsys, "--config", config, "status", "--fleet", "--json")
+    found = json.loads(out)
+    assert [(one["site"], one["level"]) for one in found["sites"]] == [
+        ("silent", "critical"),
+        ("ill", "warning"),
+        ("good", "ok"),
+    ]
+    assert code == found["code"] == 2
+    _, out, _ = ctl(capsys, "--config", config, "status", "--fleet")
+    assert out.startswith("DCAM CRITICAL - 3 sites: 1 ok, 1 warning, 1 critical\n")
+    assert "not heard from for 2 h" in out
+
+
+def test_a_site_is_exported_from_the_centre_as_at_its_pier(
+    pier: Pier,
+    config: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    state, name = pier("one", 20), site_name(config)
+    assert ctl(capsys, "--config", config, "--state", state, "sync")[0] == 0
+    monkeypatch.setitem(os.environ, "DCAM_STATE", str(tmp_path / "elsewhere"))
+    code, there, err = ctl(capsys, "--config", config, "export", "--site", name)
+    assert code == 0, err
+    _, here, _ = ctl(capsys, "--config", config, "--state", state, "export")
+    assert there == here
+    assert here.count("\n") == 21
+    code, _, err = ctl(capsys, "--config", config, "export", "--site", "nobody")
+    assert (code, name in err) == (2, True)
+    shared = next((tmp_path / "cache").rglob("dcam.toml")).read_text()
+    assert "secret" not in shared
