@@ -74,7 +74,13 @@ def test_systemd_has_nothing_to_say_against_the_units(tmp_path: Path) -> None:
 def test_systemd_rates_the_unit_as_locked_in(name: str) -> None:
     """At most 1.5 of 10; more would be reachable than two cameras, a serial port and its files."""
     result = subprocess.run(
-        ["systemd-analyze", "security", "--offline=true", "--threshold=15", str(UNITS / f"{name}.service")],
+        [
+            "systemd-analyze",
+            "security",
+            "--offline=true",
+            "--threshold=15",
+            str(UNITS / f"{name}.service"),
+        ],
         capture_output=True,
         text=True,
         check=False,
