@@ -15,13 +15,14 @@ from benchmarks.sites import Case, NumbersSite, make_numbers
 from core.analysis.monte_carlo import monte_carlo
 from core.analysis.uncertainty import Budget, RowState, row_budget
 from core.checkerboard.resection import resect
+from core.moment import Moment
 from core.rig.compensation import (
     SeenTarget,
     corrected_displacement,
     raw_displacement,
     rig_motion,
 )
-from core.rig.stability import Moment, main_scale, stability_terms
+from core.rig.stability import main_scale, stability_terms
 
 _MONTH = Moment(30 * 86_400.0, 10.0)
 _DAY = Moment(3_600.0, 0.5)

@@ -11,12 +11,13 @@ from core.checkerboard.corners import detect_board
 from core.discs.disc_finder import find_discs
 from core.errors import TargetNotFoundError
 from core.images import GreyImage
+from core.moment import Moment
 from core.quality.verdicts import flag_of, judge_value
 from core.results import Diagnostics, Displacement, Flag, Measurement, Reason, TargetMeasurement
 from core.rig.closure import close, closure_of, consistent, is_beyond, joint_shifts
 from core.rig.compensation import Shifts
 from core.rig.learnt import Learnt
-from core.rig.stability import Moment, Term, main_scale, stability_terms
+from core.rig.stability import Term, main_scale, stability_terms
 from core.seeing import SeenFurther, SeenPair, not_found, see_pair, usable_image
 from core.site import MAIN, ExtraTarget, Site
 

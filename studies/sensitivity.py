@@ -14,6 +14,7 @@ from core.adjustment.bundle_adjustment import PrintSpread
 from core.arrays import FloatArray
 from core.calibration.joint_fit import FitOptions, Method, build_uncompressed_site, predict_fit
 from core.geometry.pose import Pose
+from core.moment import Moment
 from core.planning.planned_site import CalibrationPlan, ImageQuality, PlannedSite
 from core.planning.predicted_accuracy import (
     FAIR_PRINT,
@@ -23,7 +24,7 @@ from core.planning.predicted_accuracy import (
     predict_row,
 )
 from core.rig.calibrated_site import CalibratedSite
-from core.rig.stability import Moment, stability_terms, total_covariance
+from core.rig.stability import stability_terms, total_covariance
 from core.site import CheckerboardTarget, Site
 from daemon.commands.output import progress
 from studies.keep import Keep

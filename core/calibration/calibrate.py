@@ -22,9 +22,9 @@ from core.calibration.views import CalibrationView, ViewRole, find_targets, relo
 from core.checkerboard.board import Board
 from core.errors import CalibrationError
 from core.images import GreyImage
+from core.moment import Moment
 from core.results import CalibrationReport
 from core.rig.calibrated_site import CalibratedSite
-from core.rig.stability import Moment
 from core.site import Site
 
 _FORMAT = 3

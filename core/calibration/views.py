@@ -15,13 +15,13 @@ from core.discs.disc_finder import Discs
 from core.errors import CalibrationError, ImageError, NotRecognisedError, TargetNotFoundError
 from core.geometry.lens import Lens
 from core.images import GreyImage, require_size
+from core.moment import Moment
 from core.recognition import (
     board_doubt,
     recognise_board,
     recognise_mounted_board,
     recognise_targets,
 )
-from core.rig.stability import Moment
 from core.site import Site
 
 

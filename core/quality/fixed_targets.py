@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import FloatArray
+from core.moment import Moment
 from core.results import Displacement, Measurement, Reason, TargetMeasurement
 from core.rig.calibrated_site import CalibratedSite
-from core.rig.stability import Moment, main_scale, stability_terms, state_effects, total_covariance
+from core.rig.stability import main_scale, stability_terms, state_effects, total_covariance
 from core.site import Site, TargetRole
 
 HISTORY_ROWS = 60

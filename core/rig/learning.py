@@ -16,7 +16,8 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from core.arrays import BoolArray, FloatArray, IntArray
-from core.rig.stability import DN_DT_PER_K, Moment, stability_terms
+from core.moment import Moment
+from core.rig.stability import DN_DT_PER_K, stability_terms
 from core.site import Site
 
 LAGS_H = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0)

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import FloatArray
+from core.moment import Moment
 from core.rig.learning import predictors
-from core.rig.stability import STATE, Moment, Prior, Term, total_covariance
+from core.rig.stability import STATE, Prior, Term, total_covariance
 from core.site import Site
 
 _DAY_S = 86_400.0

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from core.arrays import FloatArray
 from core.geometry.lens import Lens
 from core.lens_model import LensModel
+from core.moment import Moment
 from core.rig.calibrated_target import CalibratedTarget
 from core.site import Site
 
@@ -39,25 +39,6 @@ _GRID = 9
 """Points along each side of the image, where its shift is looked at; more change nothing."""
 _IN_FRONT = 0.1
 """Cosine from which a ray meets a board that faces the camera."""
-
-
-@dataclass(frozen=True, slots=True)
-class Moment:
-    """When a pair was taken, and how warm the main camera was."""
-
-    utc_s: float
-    """Seconds since 1970."""
-    temperature_c: float | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Give plain JSON types."""
-        return {"utc_s": self.utc_s, "temperature_c": self.temperature_c}
-
-    @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> Moment:
-        """Read what `to_dict` gave. Raises KeyError, TypeError or ValueError on anything else."""
-        celsius = data["temperature_c"]
-        return cls(float(data["utc_s"]), None if celsius is None else float(celsius))
 
 
 @dataclass(frozen=True, slots=True)

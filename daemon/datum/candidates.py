@@ -12,10 +12,10 @@ from core.arrays import FloatArray
 from core.calibration.calibrate import Calibration
 from core.geometry.pose import Pose
 from core.images import GreyImage
+from core.moment import Moment
 from core.results import Displacement, Flag, Measurement, RigMotion
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.datum import Travel, through_fixed_targets, travel_by
-from core.rig.stability import Moment
 from core.site import MAIN, Site, TargetRole
 from daemon.datum.chain import NOTHING, datum_by
 from daemon.datum.movement import movement_sigma_mm

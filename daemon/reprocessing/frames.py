@@ -8,8 +8,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Protocol
 
+from core.moment import Moment
 from core.results import Measurement
-from core.rig.stability import Moment
 from core.site import Site
 from daemon.reprocessing.remote import RemotePath, is_url
 from daemon.slots.measuring import (

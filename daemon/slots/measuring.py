@@ -13,13 +13,13 @@ from core.calibration.calibrate import Calibration
 from core.errors import CalibrationError, ImageError
 from core.images import GreyImage, require_size
 from core.measurement import assess_pair, look_at_pair
+from core.moment import Moment
 from core.quality.burst import combine
 from core.quality.fixed_targets import PastRow, moved_alone, not_believed_any_more
 from core.quality.step_detection import add_reasons
 from core.quality.verdicts import flag_of
 from core.results import Flag, Measurement, Reason
 from core.rig.learnt import Learnt
-from core.rig.stability import Moment
 from core.seeing import SeenPair, see_pair
 from core.site import CameraGeometry, Site
 from daemon.store.database import Store

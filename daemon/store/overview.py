@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
+from core.moment import Moment
 from core.results import Flag, TargetMeasurement
-from core.rig.stability import Moment
 from daemon.store.convert import measurement_record, stored_time
 from daemon.store.datum import datum_of, in_record_zero, targets_in_record_zero
 from daemon.store.reading import fetch, value, whole_rows

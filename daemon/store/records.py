@@ -9,11 +9,11 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 from core.arrays import FloatArray
+from core.moment import Moment
 from core.results import CalibrationReport, Displacement, Measurement, Reason
 
 if TYPE_CHECKING:
     from core.calibration.calibrate import Calibration
-    from core.rig.stability import Moment
 
 BELIEVED = ("", Reason.CALIBRATION_DRIFTING.value)
 """Reasons, as the table holds them, of the rows that later ones are judged by."""
@@ -124,8 +124,6 @@ class MeasurementRecord:
     @property
     def moment(self) -> Moment:
         """When it was taken, and how warm the rig was."""
-        from core.rig.stability import Moment  # loads the lens, and with it Numba
-
         main_c, sub_c = self.main_camera.temperature_c, self.sub_camera.temperature_c
         return Moment(self.slot_utc.timestamp(), rig_temperature_c(main_c, sub_c))
 

@@ -14,13 +14,14 @@ from core.checkerboard.resection import BoardPose
 from core.discs.disc_finder import Discs
 from core.geometry.pose import Pose
 from core.measurement import measure_pair
+from core.moment import Moment
 from core.results import Measurement
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.calibrated_target import CalibratedTarget
 from core.rig.closure import close, joint_shifts
 from core.rig.compensation import SeenTarget, raw_displacement, remaining_shifts, rig_motion
 from core.rig.propagation import expected_view, predict_shift_of
-from core.rig.stability import Moment, Term, main_scale, stability_terms
+from core.rig.stability import Term, main_scale, stability_terms
 from core.site import ExtraTarget, Site, TargetRole
 from tests.core.scenes import MINUTE, reference_utc
 from tests.core.sessions import Session

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from core.moment import Moment
 from core.quality.fixed_targets import PastRow, moved_alone, not_believed_any_more
 from core.results import Displacement, Flag, Measurement, Reason, TargetMeasurement
-from core.rig.stability import Moment
 from core.site import TargetRole
 from tests.core.sessions import Session
 

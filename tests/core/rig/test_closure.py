@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from core.moment import Moment
 from core.rig.closure import JointShifts, close, closure_of, consistent, is_beyond
-from core.rig.stability import Moment, stability_terms
+from core.rig.stability import stability_terms
 from core.site import StabilityBudget
 from tests.core.scenes import small_site
 

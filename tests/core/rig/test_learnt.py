@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from core.moment import Moment
 from core.rig.learnt import learn
-from core.rig.stability import Moment
 from tests.core.rig.test_learning import C_URAD_PER_K, hours
 
 WATCHED_DAYS, HIDDEN_DAYS = 30, 15

@@ -6,7 +6,8 @@ from datetime import timedelta
 
 import numpy as np
 
-from core.rig.stability import Moment, stability_terms
+from core.moment import Moment
+from core.rig.stability import stability_terms
 from core.site import CameraGeometry
 from drivers.sim.settings import Breathing, Climate, SimSettings
 from drivers.sim.world import World

@@ -9,7 +9,8 @@ import pytest
 
 from core.geometry.lens import Lens
 from core.lens_model import LensModel
-from core.rig.stability import Moment, season_sentence, stability_terms, turn_by_sub_shift
+from core.moment import Moment
+from core.rig.stability import season_sentence, stability_terms, turn_by_sub_shift
 from core.site import CheckerboardTarget, Site, StabilityBudget
 from drivers.sim.breathing import pose_by_shift
 from drivers.sim.settings import SimSettings

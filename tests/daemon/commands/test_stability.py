@@ -15,10 +15,10 @@ import pytest
 
 from core.calibration.calibrate import Calibration
 from core.images import GreyImage
+from core.moment import Moment
 from core.quality.fixed_targets import PastRow
 from core.results import Displacement, Flag, Measurement, TargetMeasurement
 from core.rig.calibrated_target import CalibratedTarget
-from core.rig.stability import Moment
 from core.site import ExtraTarget, TargetRole
 from daemon.burst import BurstPlan, take_burst
 from daemon.config.reading import load_config
