@@ -63,6 +63,10 @@ async pauseS => {
 """A suspect run and a bad one by turns, as clouds and a low sun make them: 20, then a pause."""
 
 
+BUILDING = "async () => (await (await fetch('/api/site')).json()).building"
+"""The share of the record that the page has; None: all of it."""
+
+
 @pytest.fixture
 def visit(browser: Browser, served: Served) -> Iterator[Visit]:
     with visiting(browser, served.url, has_touch=True, **WIDE) as visit:
@@ -372,8 +376,13 @@ class TestPictures:
         size = {"width": 1000, "height": 640}
         device = PHONE if name == "phone" else {**WIDE, "viewport": size}
         with visiting(browser, served.url, **device) as visit:
+            if name == "record":
+                visit.go("/")
+                while visit.page.evaluate(BUILDING) is not None:  # the oldest days come last
+                    visit.page.wait_for_timeout(200)
             visit.show(*whole(served))
             if name == "record":
+                expect(visit.panel("y").locator("figcaption")).to_contain_text("levelling.csv")
                 visit.page.locator("#figure").scroll_into_view_if_needed()
                 visit.page.evaluate("document.getElementById('figure').scrollIntoView()")
             if name == "slot":
