@@ -149,7 +149,9 @@ def _part(season: Season, before: Path | None, now: Path, first: float, end: flo
     if first in season.calibrations:
         frames = now / f"calibration-{first:g}"
         _write_calibration(config, frames, None if before is None else season.utc(first))
-        said.append(_ctl(config, "calibrate", "--from", str(frames), "--accept"))
+        # The board stays on the pier: the second reference is measured by the first calibration.
+        untouched = [] if before is None else ["--board-untouched"]
+        said.append(_ctl(config, "calibrate", "--from", str(frames), "--accept", *untouched))
         shutil.rmtree(frames)
     period_s = load_config(config).schedule.period_s
     slots = len(list(slots_between(period_s, season.utc(first), season.utc(end))))
