@@ -11,6 +11,7 @@ from daemon.calibration.positions import Limits
 from daemon.calibration.session import CalibrationDevices
 from daemon.config.reading import Config
 from daemon.devices import open_bench, open_calibration_rig, open_clock
+from daemon.readings.sampler import open_sampler
 from daemon.slots.exposure import loop_of
 from drivers.frameset import FrameSetRow
 
@@ -29,7 +30,8 @@ def opened_devices(config: Config, before: Sequence[FrameSetRow]) -> Iterator[Ca
         begin_utc = max(begin_utc, before[-1].slot_utc + timedelta(seconds=1))
     clock = open_clock(config, begin_utc=begin_utc)
     opened = open_calibration_rig(config, clock)
-    with closing(opened.source), closing(opened.head):
+    sampler = open_sampler(config, patient=True)
+    with closing(opened.source), closing(opened.head), closing(sampler):
         yield CalibrationDevices(
             config.site(),
             opened.source,
@@ -38,6 +40,8 @@ def opened_devices(config: Config, before: Sequence[FrameSetRow]) -> Iterator[Ca
             clock,
             opened.hold_board,
             loop_of(config),
+            sampler,
+            config.camera.serials,
         )
 
 

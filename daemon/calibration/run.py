@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 
@@ -21,11 +21,13 @@ from core.site import CameraGeometry, Site
 from daemon.config.reading import Config
 from daemon.datum.candidates import NewReference
 from daemon.slots.measuring import row_moment
+from daemon.store.circumstances import KEY, Circumstances
 from daemon.store.database import Store
-from daemon.store.records import CalibrationRecord, DatumRecord
+from daemon.store.records import CalibrationRecord, DatumRecord, Reading
 from daemon.version import VERSION
 from drivers.errors import FrameSetError
 from drivers.frameset import FrameSet, FrameSetRow, format_slot, read_frame_set
+from drivers.protocols import Role
 
 OnStep = Callable[[str], None]
 """Called with what has just been done, once for each view and once for the calibration."""
@@ -44,6 +46,8 @@ class CalibrationRun:
     """The pair that is the calibration's own zero."""
     rejected: tuple[FrameSetRow, ...] = ()
     """Rows of the views that were read, but do not fit the others or show no target."""
+    circumstances: Circumstances = field(default_factory=Circumstances)
+    """What its reference was taken with."""
 
     @property
     def rejected_positions(self) -> list[FrameSetRow]:
@@ -98,6 +102,22 @@ def calibrate_frames(
     )
 
 
+def with_circumstances(
+    run: CalibrationRun, frames: FrameSet, config: Config, serials: Mapping[Role, str]
+) -> CalibrationRun:
+    """Add what the reference was taken with: serials that the session noted, or else the config's.
+
+    The readings are those of the table, in the units of the config.
+    """
+    (row,) = frames.rows_of("reference")
+    units = {one.name: one.unit for one in config.reading}
+    readings = [Reading(name, units.get(name, ""), value) for name, value in row.readings.items()]
+    circumstances = Circumstances({**config.camera.serials, **serials}, tuple(readings))
+    report = replace(run.report, lines=(*run.report.lines, *circumstances.lines))
+    reference = replace(run.reference, serials=circumstances.serials)
+    return replace(run, circumstances=circumstances, report=report, reference=reference)
+
+
 def _new_reference(
     frames: FrameSet, views: Sequence[CalibrationView], calibration: Calibration
 ) -> NewReference:
@@ -124,7 +144,7 @@ def store_run(
     """
     record = CalibrationRecord(
         created_utc=created_utc,
-        content=run.calibration.to_dict(),
+        content={**run.calibration.to_dict(), KEY: run.circumstances.to_dict()},
         report=run.report,
         config_hash=config.config_hash(),
         version=VERSION,

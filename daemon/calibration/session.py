@@ -7,8 +7,8 @@ directory a calibration can be repeated years later.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from types import MappingProxyType
@@ -20,11 +20,13 @@ from core.errors import CalibrationError
 from core.site import Site
 from daemon.calibration.positions import ZERO, Limits, Position, planned_positions
 from daemon.calibration.reference import take_reference
-from daemon.calibration.view_check import ViewCheck, settled_view_check
+from daemon.calibration.view_check import ViewCheck, further_problems, settled_view_check
 from daemon.durable import make_directory_durable, write_durable
+from daemon.readings.sampler import Sampler
 from daemon.slots.exposure import ExposureLoop, settle
 from drivers.errors import DriverError
 from drivers.frameset import (
+    READING,
     TEMPERATURES,
     FrameRole,
     FrameSet,
@@ -64,6 +66,10 @@ class CalibrationDevices:
     None for a rig whose board is in somebody's hand or bonded already."""
     exposure: ExposureLoop | None = None
     """What settles the light before the first view; then all are exposed alike. None: fixed."""
+    sampler: Sampler | None = None
+    """The site's sensors, which are read at the zero."""
+    serials: Mapping[Role, str] = field(default_factory=dict)
+    """The cameras' serial numbers, as far as they have one."""
 
 
 class Plan(BaseModel):
@@ -76,6 +82,8 @@ class Plan(BaseModel):
     state: Literal["taking", "taken"]
     exposures: dict[Role, tuple[float, float | None]] = {}
     """Exposure in us and gain in dB of all views, where they were settled by the light."""
+    serials: dict[Role, str] = {}
+    """Of the cameras that take the views."""
 
 
 @dataclass(slots=True)
@@ -132,6 +140,15 @@ def _read(directory: Path) -> Session | None:
     except (OSError, ValidationError, DriverError):
         return None  # not a session, or one that had nothing yet
     return Session(directory, plan, list(rows))
+
+
+def serials_of(directory: Path) -> dict[Role, str]:
+    """The cameras that took a session's views, as far as it tells."""
+    try:
+        plan = Plan.model_validate_json((directory / PLAN).read_bytes())
+    except (OSError, ValidationError):
+        return {}
+    return plan.serials
 
 
 def take_views(
@@ -210,9 +227,17 @@ def _begin(
     first_utc, check = settled_view_check(devices.source, devices.clock, devices.site)
     if check.problems or check.discs is None:
         raise CalibrationError("before calibrating: " + "; ".join(check.problems))
+    for problem in further_problems(check, devices.site):
+        on_trouble(f"before calibrating: {problem}")
     positions = tuple(planned_positions(devices.site, check.discs, devices.limits))
     directory = new_directory(state / FOLDER / f"{first_utc:%Y%m%dT%H%M%SZ}")
-    plan = Plan(config_hash=config_hash, positions=positions, state="taking", exposures=exposures)
+    plan = Plan(
+        config_hash=config_hash,
+        positions=positions,
+        state="taking",
+        exposures=exposures,
+        serials=dict(devices.serials),
+    )
     session = Session(directory, plan, [])
     session.note(plan)
     if lens_views is not None:
@@ -221,8 +246,22 @@ def _begin(
         _take_simulated_lens_views(devices, devices.hold_board, session, on_step, on_trouble)
     on_step("zero")
     slot_utc, seen = take_reference(devices.source, devices.clock, devices.site, on_trouble)
-    session.add(_keep(session, slot_utc, "reference", seen, devices.head, None))
+    zero = _keep(session, slot_utc, "reference", seen, devices.head, None)
+    said = _readings(devices.sampler, slot_utc, on_trouble)
+    session.add(replace(zero, extra=MappingProxyType({**zero.extra, **said})))
     return session
+
+
+def _readings(sampler: Sampler | None, slot_utc: datetime, on_trouble: OnTrouble) -> dict[str, str]:
+    """What the sensors say at the zero: columns of its row. One that fails costs its value only."""
+    if sampler is None:
+        return {}
+    sampler.ahead(slot_utc, 0.0)
+    found = sampler.collect(slot_utc)
+    for one in found:
+        if one.value is None:
+            on_trouble(f'zero: reading "{one.name}": {one.cause}; the calibration goes on without')
+    return {f"{READING}{one.name}": "" if one.value is None else repr(one.value) for one in found}
 
 
 def _take_simulated_lens_views(

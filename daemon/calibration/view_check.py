@@ -80,6 +80,16 @@ def see_pair(pair: CapturedPair, site: Site) -> ViewCheck:
     return ViewCheck(pair, discs, board, tuple(problems), further)
 
 
+def further_problems(check: ViewCheck, site: Site) -> Iterator[str]:
+    """What spoils further targets: they are not measured well then, the main one is."""
+    image = GreyImage(check.pair.main.pixels, check.pair.main.bits)
+    for extra, discs in zip(site.extra_targets, check.further, strict=True):
+        if discs is not None:
+            points_px = discs.points_px[discs.found]
+            for problem in _exposure("main", image, discs.contrast_dn, points_px):
+                yield problem.replace("main target", f'target "{extra.name}"', 1)
+
+
 def _further_alone(image: GreyImage, site: Site) -> tuple[Discs | None, ...]:
     """The further targets where the main one is not seen."""
     try:

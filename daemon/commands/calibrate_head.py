@@ -12,11 +12,17 @@ from daemon.calibration.interruption import explained_when_interrupted, stopping
 from daemon.calibration.lens_session import latest_lens_views
 from daemon.calibration.opening import opened_devices
 from daemon.calibration.positions import VIEWS
-from daemon.calibration.run import CalibrationRun, calibrate_frames, views_in
+from daemon.calibration.run import (
+    CalibrationRun,
+    calibrate_frames,
+    views_in,
+    with_circumstances,
+)
 from daemon.calibration.session import (
     SIMULATED_LENS_VIEWS,
     CalibrationDevices,
     Session,
+    serials_of,
     take_again,
     take_views,
     unfinished,
@@ -38,6 +44,7 @@ def calibrate_on(
     frames = views_in(directory)
     with progress(len(frames.rows) + 1, "calibrating") as steps:
         run = calibrate_frames(frames, config.site(), method, steps.next, skew=skew)
+    run = with_circumstances(run, frames, config, serials_of(directory))
     return run, datetime.now(UTC)
 
 

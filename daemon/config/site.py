@@ -120,6 +120,12 @@ class CamerasSection(Section):
         """Give one camera's table."""
         return self.main if role == "main" else self.sub
 
+    @property
+    def serials(self) -> dict[Role, str]:
+        """Serial numbers of the cameras that have one here."""
+        known: dict[Role, str | None] = {"main": self.main.serial, "sub": self.sub.serial}
+        return {role: serial for role, serial in known.items() if serial}
+
 
 class CirclesSection(Section):
     """`[target.main]`: white discs on black, centres in WM (x right, y up)."""

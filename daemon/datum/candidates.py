@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
+from types import MappingProxyType
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from daemon.datum.movement import movement_sigma_mm
 from daemon.slots.measuring import ActiveCalibration, ImagePair, measure
 from daemon.store.records import DatumMethod, DatumRecord, DatumStep
 from daemon.text import span_text, utc_text
+from drivers.genicam.serial_number import is_same_serial
+from drivers.protocols import Role
 
 _LENS_SIGMAS = 4.0
 _LENS_SHARE = 0.005
@@ -33,6 +36,7 @@ hundredths, and only simulated time comes twice."""
 _LEAST_TRAVEL_MM = 0.1
 """1 sigma, at least, of how the pair has moved by its last row. Chosen: somebody has worked on it
 since; between targets 1 % apart in distance it is 0.001 mm."""
+_CAMERAS: Mapping[Role, str] = MappingProxyType({"main": "main camera", "sub": "sub-camera"})
 _CENTRE_PX = 5.0
 """Of the principal point. Chosen: a lens screwed in again comes back to some ten pixels."""
 
@@ -44,6 +48,8 @@ class Known:
     active: ActiveCalibration
     reference_utc: datetime
     """When its reference was taken; when it was made, where that is not known."""
+    serials: Mapping[Role, str] = field(default_factory=dict)
+    """Of the cameras that took it, as far as they are known."""
 
     @property
     def id(self) -> int:
@@ -64,6 +70,8 @@ class NewReference:
     """How warm the rig was then."""
     lens_views_utc: datetime | None
     """When the board was last in somebody's hand, by the lens views."""
+    serials: Mapping[Role, str] = field(default_factory=dict)
+    """Of the cameras that took it, as far as they are known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +145,7 @@ def by_old_calibration(
             f"lens views of {utc_text(moved_utc)}: the board was off the pier since "
             "(if it was not: --board-untouched)"
         )
+    doubts += camera_changes(known.serials, new.serials)
     doubts += lens_changes(known.active.calibration.calibrated, new.calibration.calibrated)
     doubts += drift_beyond(measured, site)
     return candidate(step, known.active.datum, words, doubts), ""
@@ -181,6 +190,15 @@ def measured_targets(measured: Measurement) -> list[tuple[str, Displacement]]:
         (target.name, target.corrected)
         for target in measured.targets
         if target.role is TargetRole.MEASURED and target.corrected is not None
+    ]
+
+
+def camera_changes(old: Mapping[Role, str], new: Mapping[Role, str]) -> list[str]:
+    """What says that a camera was replaced; none where a serial number is not known of both."""
+    return [
+        f"the {_CAMERAS[role]} is another one, serial {new[role]} after {old[role]}"
+        for role in _CAMERAS
+        if role in old and role in new and not is_same_serial(old[role], new[role])
     ]
 
 

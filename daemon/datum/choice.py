@@ -34,6 +34,7 @@ from daemon.slots.measuring import (
     read_pair,
     row_moment,
 )
+from daemon.store.circumstances import circumstances_of
 from daemon.store.columns import read_columns
 from daemon.store.convert import measurement_record
 from daemon.store.database import Store
@@ -80,7 +81,10 @@ def find_zero(
     if same is not None:
         return _zero(same, [], [], datums, new, created_utc)
     active = active_calibration(store)
-    known = None if active is None else Known(active, reference_time(record, active))
+    known = None
+    if active is not None:
+        serials = circumstances_of(record.content).serials
+        known = Known(active, reference_time(record, active), serials)
     rows = list(_stored_rows(store, new.slot_utc))
     if known is not None and (not rows or rows[-1].calibration_id != known.id):
         rows += _measured_rows(record, known, site, new.slot_utc, on_step)
@@ -218,6 +222,20 @@ def _of_other_targets(chosen: Candidate, candidates: Sequence[Candidate]) -> lis
     return steps
 
 
+def _why(chosen: Candidate, candidates: Sequence[Candidate]) -> str:
+    """Why this answer was taken, as the end of its line."""
+    believed = [one for one in candidates if not one.doubts]
+    if chosen.step.method is DatumMethod.OLD_CALIBRATION:
+        why = "board, lenses and cameras are the same by all that is known"
+    elif len(believed) == 1 < len(candidates):
+        why = "nothing else is believed"
+    else:
+        why = ""
+    if len(believed) > 1:
+        why = f"{why}{', and ' if why else ''}of {len(believed)} answers it has the least sigma"
+    return f" ({why})" if why else ""
+
+
 def _zero(
     chosen: Candidate,
     candidates: Sequence[Candidate],
@@ -244,7 +262,7 @@ def _zero(
     if chosen.step.method is DatumMethod.LOST:
         first = chosen.words
     else:
-        first = f"zero: {offset_text(chosen.offset)}, {chosen.words}"
+        first = f"zero: {offset_text(chosen.offset)}, {chosen.words}{_why(chosen, candidates)}"
     against = [
         f"zero: WARNING: {one.words} it is {offset_text(one.offset)}: one of the two is wrong, a "
         "surveyed value would tell (dcam-ctl datum set)"

@@ -13,7 +13,8 @@ import structlog
 from core.arrays import FloatArray
 from core.checkerboard.board import Board
 from core.checkerboard.corners import detect_board
-from core.discs.disc_finder import find_discs
+from core.discs.disc_finder import Discs, find_discs
+from core.discs.plates import find_plates
 from core.errors import CoreError
 from core.exposure.exposure_rule import Exposure, ExposureRule, next_exposure, within
 from core.exposure.target_light import (
@@ -27,6 +28,7 @@ from core.exposure.target_light import (
     discs_in_image,
 )
 from core.images import GreyImage
+from core.recognition import wanted_plates
 from core.results import Measurement
 from core.rig.calibrated_site import CalibratedSite
 from core.site import Site
@@ -154,13 +156,33 @@ class ExposureLoop:
                 return _UNSEEN
             points, radii = discs_in_image(calibrated, target, measurement.raw)
         else:
-            try:
-                discs = find_discs(image, target, self._site.nominal_px_per_mm)
-            except CoreError:
-                return _UNSEEN
-            points = discs.points_px[discs.found]
-            radii = self._site.nominal_px_per_mm * target.diameters_mm[discs.found] / 2.0
+            return self._see_plates(image)
         return disc_light(image, points, radii), points, 2.0 * float(radii.max())
+
+    def _see_plates(self, image: GreyImage) -> _Seen:
+        """The brightest of all targets, so that none is overexposed; the main one must be seen."""
+        site = self._site
+        found: Sequence[Discs | None]
+        try:
+            if site.extra_targets:
+                found = find_plates(image, wanted_plates(site))
+            else:
+                found = [find_discs(image, site.main_target, site.nominal_px_per_mm)]
+        except CoreError:
+            return _UNSEEN
+        if found[0] is None:
+            return _UNSEEN
+        seen = []
+        for discs, target in zip(found, site.targets, strict=True):
+            if discs is None:
+                continue
+            points = discs.points_px[discs.found]
+            px_per_mm = site.main.focal_px / target.distance_mm
+            radii = px_per_mm * target.diameters_mm[discs.found] / 2.0
+            light = disc_light(image, points, radii)
+            if light is not None:
+                seen.append((light, points, 2.0 * float(radii.max())))
+        return max(seen, key=lambda one: one[0].white, default=_UNSEEN)
 
     def _see_sub(
         self, image: GreyImage, measurement: Measurement | None, calibrated: CalibratedSite | None

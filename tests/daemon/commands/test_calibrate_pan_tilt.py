@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -19,12 +20,20 @@ from core.discs.disc_finder import find_discs
 from core.errors import CalibrationError
 from core.images import GreyImage
 from daemon.calibration.positions import VIEWS, ZERO, Limits, planned_positions
-from daemon.calibration.session import FOLDER, CalibrationDevices, Session, take_views, unfinished
+from daemon.calibration.session import (
+    FOLDER,
+    CalibrationDevices,
+    Session,
+    serials_of,
+    take_views,
+    unfinished,
+)
 from daemon.calibration.view_check import SETTLE_TIMEOUT_S, STILL_PX
 from daemon.commands import calibrate_head
 from daemon.config.reading import load_config
 from daemon.devices import open_clock, open_simulated_rig
 from daemon.errors import HardwareError
+from daemon.readings.sampler import open_sampler
 from daemon.slots.exposure import loop_of
 from daemon.store.database import open_store_readonly
 from drivers.frameset import FrameSet, read_frame_set
@@ -276,6 +285,37 @@ def test_lens_views_are_taken_over_from_another_frame_set(
     for old, new in zip(given.rows_of("intrinsics"), kept.rows_of("intrinsics"), strict=True):
         assert (directory / new.sub).read_bytes() == (given.directory / old.sub).read_bytes()
         assert new.slot_utc == old.slot_utc
+
+
+def test_sensors_are_read_at_the_zero_and_one_that_fails_costs_its_value_only(
+    config: Path, tmp_path: Path
+) -> None:
+    sensor = tmp_path / "sensor"
+    sensor.write_text("12500\n")
+    config.write_text(
+        f'{config.read_text()}\n[[reading]]\nname = "air"\nunit = "degC"\nfile = "{sensor}"\n'
+        'scale = 0.001\n[[reading]]\nname = "steel"\nunit = "degC"\n'
+        'command = ["sleep", "60"]\ntimeout_s = 0.2\n'
+    )
+    made = watched(config)
+    sampler = open_sampler(load_config(config))
+    made.devices = replace(made.devices, sampler=sampler, serials={"main": "100"})
+
+    def interrupt(_number: int, pair: CapturedPair) -> CapturedPair:
+        if len(made.moves) > 1:
+            raise KeyboardInterrupt
+        return pair
+
+    made.spoil = interrupt
+    troubles: list[str] = []
+    with pytest.raises(KeyboardInterrupt), closing(sampler):
+        take_views(made.devices, tmp_path, HASH, None, None, lambda _step: None, troubles.append)
+    (trouble,) = troubles
+    assert trouble.startswith('zero: reading "steel": ')
+    (directory,) = (tmp_path / FOLDER).iterdir()
+    (zero,) = read_frame_set(directory).rows_of("reference")
+    assert dict(zero.readings) == {"air": 12.5}
+    assert serials_of(directory) == {"main": "100"}
 
 
 def test_the_zero_is_the_mean_of_its_clear_looks(config: Path, tmp_path: Path) -> None:

@@ -11,8 +11,9 @@ from typing import Any
 
 import pytest
 
+from daemon.store.circumstances import KEY, Circumstances, circumstances_of
 from daemon.store.database import open_store
-from daemon.store.records import DatumMethod
+from daemon.store.records import DatumMethod, Reading
 from tests.daemon.commands.conftest import Ctl, Ran, Site, edit_table
 from tests.daemon.store.examples import calibration, datum
 
@@ -23,14 +24,14 @@ class Chain:
     """A state with a calibration, to which another is added from the same images."""
 
     def __init__(self, bench: Path, calibrated: Path, directory: Path, ctl: Ctl) -> None:
-        self._ctl, self._config = ctl, bench / "dcam.toml"
+        self._ctl, self.config = ctl, bench / "dcam.toml"
         self.state = Path(shutil.copytree(calibrated, directory / "state"))
         self.first = bench / "set"
         self.later = Path(shutil.copytree(bench / "set", directory / "later"))
         edit_table(self.later, lambda lines: [lines[0], *map(_later, lines[1:])])
 
     def ctl(self, *arguments: object) -> Ran:
-        return self._ctl("--config", self._config, "--state", self.state, *arguments)
+        return self._ctl("--config", self.config, "--state", self.state, *arguments)
 
     def calibrate(self, *options: object) -> Ran:
         ran = self.ctl("calibrate", "--from", self.later, "--accept", *options)
@@ -79,6 +80,36 @@ def test_an_untouched_board_carries_the_zero_over(chain: Chain) -> None:
     item = next(i for i in json.loads(status(chain).out)["items"] if i["name"] == "zero")
     assert item["level"] == "ok"
     assert "old_calibration" in item["text"]
+
+
+def test_another_camera_and_the_readings_at_the_zero_are_in_the_report(chain: Chain) -> None:
+    """Calibration 2 was made with main camera 100; the board was not touched since."""
+    with open_store(chain.state) as store:
+        (first,) = store.calibrations()
+        content = {**first.content, KEY: Circumstances({"main": "100"}).to_dict()}
+        store.add_calibration(
+            replace(first, id=None, content=content), store.datum(1), activate=True
+        )
+    config = chain.config.read_text()
+    chain.config = chain.state.parent / "dcam.toml"
+    serial = config.replace("[camera.main]", '[camera.main]\nserial = "200"', 1)
+    chain.config.write_text(
+        f'{serial}\n[[reading]]\nname = "air"\nunit = "degC"\nfile = "/sys/none"\n'
+    )
+    edit_table(chain.later, lambda lines: [f"{lines[0]},reading_air", *_with(lines[1:], "12.5")])
+    said = chain.calibrate("--board-untouched").out
+    assert "readings at the reference: air 12.5 degC" in said
+    (line,) = [line for line in said.splitlines() if "not measured by calibration 2" in line]
+    assert "the main camera is another one, serial 200 after 100" in line
+    assert "(nothing else is believed)" in said
+    with open_store(chain.state) as store:
+        kept = circumstances_of(store.calibrations()[-1].content)
+    assert kept.serials["main"] == "200"
+    assert kept.readings == (Reading("air", "degC", 12.5),)
+
+
+def _with(lines: list[str], value: str) -> list[str]:
+    return [f"{line},{value}" for line in lines]
 
 
 def test_the_same_images_calibrated_again_have_the_same_zero(chain: Chain) -> None:
