@@ -30,7 +30,8 @@ from daemon.store.central.writing import SiteFacts, write_rows
 from daemon.times import slot_text
 from tests.daemon.fleet.postgres import Proxy, Server, cut_at_random
 
-_MOST_BYTES = 15_000_000
+_MOST_BYTES = 4_000_000
+"""Between two cuts of a line: some batches of rows."""
 _BEGIN = datetime(2026, 3, 1, tzinfo=UTC)
 _PIERS_A_SECOND = 167
 

@@ -22,8 +22,8 @@ from core.arrays import FloatArray
 from core.calibration.calibrate import CalibrationView, ViewRole, calibrate
 from core.images import GreyImage
 from core.measurement import measure_pair
+from core.moment import Moment
 from core.results import Flag
-from core.rig.stability import Moment
 from core.site import (
     CameraGeometry,
     CheckerboardTarget,

@@ -74,7 +74,8 @@ def test_an_untouched_board_carries_the_zero_over(chain: Chain) -> None:
     _, second = chain.links()
     assert second["method"] == "old_calibration"
     # The images are those of the first reference: nothing has moved.
-    assert 0.0 < second["sigma_y_mm"] < 0.2
+    # A day later the budget of the sub lens is most of it: 0.05 px of this coarse camera.
+    assert 0.0 < second["sigma_y_mm"] < 0.4
     assert abs(second["x_mm"]) < 3.0 * second["sigma_x_mm"]
     assert abs(second["y_mm"]) < 3.0 * second["sigma_y_mm"]
     item = next(i for i in json.loads(status(chain).out)["items"] if i["name"] == "zero")

@@ -96,6 +96,26 @@ def test_each_row_is_there_once_whatever_is_cut_and_restarted(
         assert found == rows_here(state, MEASUREMENT)
 
 
+def test_one_run_goes_on_by_itself_after_a_cut(server: Server, central: str, pier: Pier) -> None:
+    state = pier("one", 60)
+    line = Proxy(server.port, cut_at_random(1, cuts=1, most_bytes=60_000))
+    copied = sync(server.url(central, line.port), state, batch=10, tries=1)
+    line.close()
+    assert (line.cuts, copied.outages) == (1, 1)
+    assert rows_there(server.url(central), MEASUREMENT) == rows_here(state, MEASUREMENT)
+
+
+def test_copying_all_again_changes_nothing(server: Server, central: str, pier: Pier) -> None:
+    state, url = pier("one", 20), server.url(central)
+    sync(url, state)
+    database = connect_central(url, None)
+    with database.transaction() as connection:
+        connection.execute(SITE.update().values(progress=None, event_id=0))
+    database.close()
+    assert sync(url, state).rows == 20
+    assert rows_there(url, MEASUREMENT) == rows_here(state, MEASUREMENT)
+
+
 def test_rows_that_come_later_and_late_are_copied(server: Server, central: str, pier: Pier) -> None:
     state = pier("one", 5)
     sync(server.url(central), state)
