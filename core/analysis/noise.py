@@ -47,6 +47,10 @@ _ENOUGH = 0.01
 what one standard deviation costs."""
 
 
+_LEAST_MM = 1e-6
+"""Noise that any series is taken to have at least: one that never moves must be fitted too."""
+
+
 @dataclass(frozen=True, slots=True)
 class Part:
     """A part of the noise that forgets exponentially."""
@@ -137,7 +141,7 @@ def gls(whitening: Whitening, design: FloatArray, values_mm: FloatArray) -> Gls:
     coefficients = inverse @ (weighted.T @ values_mm)
     residuals = values_mm - (design / scale) @ coefficients
     whitened = solved_values - weighted @ coefficients
-    variance = max(float(residuals @ whitened) / (n - p), np.finfo(float).tiny)
+    variance = max(float(residuals @ whitened) / (n - p), _LEAST_MM**2)
     _, log_normal = np.linalg.slogdet(normal)
     likelihood = 0.5 * ((n - p) * np.log(variance) + whitening.log_determinant + log_normal)
     return Gls(

@@ -49,6 +49,17 @@ def test_days_have_the_lowest_mean_and_highest_of_their_own_rows() -> None:
     assert np.isnan(found.mean[2])
 
 
+def test_a_value_that_never_moves_has_no_trend_and_no_step() -> None:
+    """A further target's axis that is not measured, or a record of a stuck number."""
+    times_s = hours_with_gaps(np.random.default_rng(0), 120.0)
+    values_mm = np.full(len(times_s), 0.5)
+    trend = trend_of(times_s, values_mm, with_days=False)
+    assert abs(trend.mm_per_year.value) < 1e-9
+    assert find_steps(times_s, values_mm).steps == ()
+    assert not recent_drift(times_s, values_mm).significant
+    assert abs(difference(times_s, values_mm, BEGIN_S + 60.0 * DAY_S).mm.value) < 1e-9
+
+
 def test_one_wild_row_does_not_move_its_hour_and_a_short_hour_is_none() -> None:
     times_s = np.arange(0.0, 3 * 3600.0, 60.0)
     values_mm = 0.1 * np.sin(times_s)
