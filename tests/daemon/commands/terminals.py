@@ -30,7 +30,7 @@ def program(*words: object, module: str = "daemon.ctl") -> list[str]:
 
 def environment(**more: str) -> dict[str, str]:
     """This process's environment without what decides the shape of output."""
-    decides = {"COLUMNS", "FORCE_COLOR", "NO_COLOR", "DCAM_CONFIG", "DCAM_STATE"}
+    decides = {"COLUMNS", "LINES", "FORCE_COLOR", "NO_COLOR", "DCAM_CONFIG", "DCAM_STATE"}
     return {**{k: v for k, v in os.environ.items() if k not in decides}, **more}
 
 

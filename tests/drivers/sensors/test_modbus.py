@@ -132,7 +132,8 @@ def test_a_port_where_nothing_listens_is_named() -> None:
 
 def test_without_pymodbus_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pymodbus", None)
-    with pytest.raises(MissingLibraryError, match=r"^no Modbus: .*pip install 'dcam\[modbus\]'$"):
+    says = r"^no Modbus: pymodbus is not installed; .*pip install 'pymodbus[^']*'$"
+    with pytest.raises(MissingLibraryError, match=says):
         read("tcp://127.0.0.1:1?register=30001&type=int16")
 
 
