@@ -13,6 +13,7 @@ import math
 import os
 import random
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -127,6 +128,9 @@ def reprocess(
     """Measure the long set once, and kill workers meanwhile."""
     output = directory / f"{scheduler}.csv"
     output.unlink(missing_ok=True)
+    shutil.rmtree(
+        directory / f".{output.name}.parts", ignore_errors=True
+    )  # of a run that was ended
     frames = directory / ("few" if few else "many")
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     begun = time.monotonic()
