@@ -38,7 +38,7 @@ COMMANDS = {
     "sync": "Copy the record to the central database of many piers.",
     "analyse": "Days, temperature, trend, steps and creep, with confidence.",
     "plot": "Draw a figure of the record, PNG or SVG.",
-    "report": "Write the record of a span as one HTML file.",
+    "report": "Write the record of a span for the client, HTML or PDF.",
     "compare": "Hold the record against levelling, LiDAR or a model.",
     "backup": "Copy the database while the daemon runs.",
     "redate": "Correct the times of what was taken under a wrong clock.",
