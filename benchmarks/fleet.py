@@ -23,15 +23,21 @@ from benchmarks.record import fill
 from daemon.fleet.sync import Sync
 from daemon.fleet.verdict import judge_fleet
 from daemon.outputs.backoff import Backoff
-from daemon.store.central.connecting import Central, connect_central, open_central, prepare
+from daemon.store.central.connecting import (
+    Central,
+    CentralAwayError,
+    connect_central,
+    open_central,
+    prepare,
+)
 from daemon.store.central.sites import read_sites
 from daemon.store.central.tables import SITE
 from daemon.store.central.writing import SiteFacts, write_rows
 from daemon.times import slot_text
 from tests.daemon.fleet.postgres import Proxy, Server, cut_at_random
 
-_MOST_BYTES = 4_000_000
-"""Between two cuts of a line: some batches of rows."""
+_MOST_BYTES = 12_000_000
+"""Of a connection that is cut: the cuts lie all over the run."""
 _BEGIN = datetime(2026, 3, 1, tzinfo=UTC)
 _PIERS_A_SECOND = 167
 
@@ -43,7 +49,7 @@ def main() -> None:
     parser.add_argument("--sites", type=int, default=10, help="with long records, in parallel")
     parser.add_argument("--cuts", type=int, default=20)
     parser.add_argument("--piers", type=int, default=10_000, help="with a row a minute")
-    parser.add_argument("--seconds", type=int, default=60, help="of the many piers")
+    parser.add_argument("--seconds", type=int, default=600, help="of the many piers")
     options = parser.parse_args()
     server = Server("shared_buffers=128MB", "max_connections=60")
     try:
@@ -66,10 +72,11 @@ def _new(server: Server, name: str) -> Central:
 
 def long_records(server: Server, rows: int, sites: int, cuts: int) -> None:
     """Piers with long records, all at once, through cuts and two restarts."""
-    central = _new(server, "long_records")
+    central, restarts = _new(server, "long_records"), list[int]()
 
     def restart(number: int) -> None:
-        if number in {sites + 3, sites + 9}:
+        if number in {cuts // 3, 2 * cuts // 3}:
+            restarts.append(number)
             server.stop()
             server.start()
 
@@ -82,7 +89,11 @@ def long_records(server: Server, rows: int, sites: int, cuts: int) -> None:
 
         def copy(state: Path) -> int:
             sync = Sync(url, None, state, SiteFacts(state.name, 60), backoff=Backoff(0.1, 2.0))
-            return sync.run().outages
+            while True:
+                try:
+                    return sync.run().outages
+                except CentralAwayError:  # the timer starts the next run
+                    time.sleep(1.0)
 
         with ThreadPoolExecutor(sites) as pool:
             outages = sum(pool.map(copy, states))
@@ -92,7 +103,7 @@ def long_records(server: Server, rows: int, sites: int, cuts: int) -> None:
         size = sum((state / "dcam.db").stat().st_size for state in states)
     whole = _size(central)
     print(f"{rows} rows of {sites} sites in {took_s:.0f} s, {rows / took_s:.0f} rows/s")
-    print(f"  {line.cuts} cuts, 2 restarts, {outages} outages seen")
+    print(f"  {line.cuts} cuts, {len(restarts)} restarts, {outages} outages seen")
     print(f"  sites whose rows are all there once, by digest: {right} of {sites}")
     print(f"  bytes a row: SQLite {size / rows:.0f}, PostgreSQL {whole / rows:.0f}", flush=True)
     central.close()

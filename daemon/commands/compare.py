@@ -13,6 +13,7 @@ from daemon.commands.options import (
     common_options,
     json_option,
     pass_options,
+    site_option,
     span_options,
     with_excluded_option,
 )
@@ -44,6 +45,7 @@ _MOST_LINES = 40
 @with_excluded_option
 @span_options
 @json_option
+@site_option
 @common_options
 @pass_options
 def command(

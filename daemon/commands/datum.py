@@ -14,7 +14,9 @@ from daemon.commands.options import (
     SuggestingGroup,
     common_options,
     json_option,
+    only_reading_site,
     pass_options,
+    site_option,
     span_options,
     tz_option,
 )
@@ -46,6 +48,7 @@ def _number(_ctx: click.Context, _parameter: click.Parameter, value: float | Non
 )
 @json_option
 @tz_option
+@site_option
 @common_options
 @click.pass_context
 def command(ctx: click.Context, as_json: bool) -> None:
@@ -59,6 +62,7 @@ def command(ctx: click.Context, as_json: bool) -> None:
         if as_json:
             msg = f"give --json behind {ctx.invoked_subcommand}"
             raise UsageError(msg)
+        only_reading_site(ctx)
         return
     options = ctx.ensure_object(Options)
     with open_store_readonly(options.state) as store:

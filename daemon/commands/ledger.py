@@ -17,7 +17,9 @@ from daemon.commands.options import (
     SuggestingGroup,
     common_options,
     json_option,
+    only_reading_site,
     pass_options,
+    site_option,
     span_options,
     tz_option,
 )
@@ -48,6 +50,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 )
 @json_option
 @tz_option
+@site_option
 @common_options
 @click.pass_context
 def command(ctx: click.Context, as_json: bool) -> None:
@@ -61,6 +64,7 @@ def command(ctx: click.Context, as_json: bool) -> None:
         if as_json:
             msg = f"give --json behind {ctx.invoked_subcommand}"
             raise UsageError(msg)
+        only_reading_site(ctx)
         return
     _show(ctx.ensure_object(Options), as_json=as_json, history=False)
 
@@ -68,6 +72,7 @@ def command(ctx: click.Context, as_json: bool) -> None:
 @command.command("history", epilog="\b\nExample:\n  dcam-ctl ledger history --json")
 @json_option
 @tz_option
+@site_option
 @common_options
 @pass_options
 def history_command(options: Options, as_json: bool) -> None:

@@ -17,6 +17,7 @@ import click
 
 from daemon.commands.output import ZONE, note, shown_zone
 from daemon.config.alarm import read_remains
+from daemon.config.centre import Centre, load_centre
 from daemon.config.reading import (
     Config,
     Installation,
@@ -48,21 +49,30 @@ class Options:
         Raises ConfigError, HardwareError.
         """
         if self._found is None:
-            found = find_installation(self.config_flag, self.state_flag)
-            if self.site is not None:
-                found = self._of_site(found)
+            if self.site is None:
+                found = find_installation(self.config_flag, self.state_flag)
+            else:
+                found = self._of_site()
             _require_usable(found.state_directory)
             self._found = found
         return self._found
 
-    def _of_site(self, own: Installation) -> Installation:
+    @property
+    def centre(self) -> Centre:
+        """What reads the central database: no site of this computer is needed.
+
+        Raises ConfigError.
+        """
+        return load_centre(find_config(self.config_flag))
+
+    def _of_site(self) -> Installation:
         """The site's config and a copy of its record, from the central database."""
         from daemon.fleet.site import fetch
 
         if self.state_flag is not None:
             msg = "--site reads the central database: leave out --state"
             raise UsageError(msg)
-        fetched = fetch(own.config.fleet, str(self.site))
+        fetched = fetch(self.centre.fleet, str(self.site))
         return Installation(fetched.config, load_config(fetched.config), fetched.state)
 
     @property
@@ -187,6 +197,20 @@ site_option = click.option(
     is_eager=True,
     help="Read this site from the central database of [fleet], as of its last sync.",
 )
+
+
+def only_reading_site(ctx: click.Context) -> None:
+    """Raise UsageError for a site of the central database before a command that enters something.
+
+    What is entered belongs into the pier's own record, which is the truth.
+    """
+    if ctx.ensure_object(Options).site is not None:
+        msg = (
+            f"--site only reads: enter at the pier itself, or, to read, give --site behind "
+            f"{ctx.invoked_subcommand}"
+        )
+        raise UsageError(msg)
+
 
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object, for programs."

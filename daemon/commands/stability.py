@@ -16,6 +16,7 @@ from daemon.commands.options import (
     common_options,
     json_option,
     pass_options,
+    site_option,
     span_options,
 )
 from daemon.commands.output import note, print_json, print_table, progress, say
@@ -46,6 +47,7 @@ class Verdict:
 @click.command("stability", epilog="\b\nExample:\n  dcam-ctl stability --since 90d")
 @span_options
 @json_option
+@site_option
 @common_options
 @pass_options
 def command(

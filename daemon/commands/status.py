@@ -18,6 +18,7 @@ from daemon.commands.options import (
     common_options,
     json_option,
     pass_options,
+    site_option,
     tz_option,
 )
 from daemon.commands.output import for_terminal, gap_fields, hanging, one_line, print_json, say
@@ -65,6 +66,7 @@ COLOURS = {
 )
 @at_option
 @json_option
+@site_option
 @tz_option
 @common_options
 @pass_options
@@ -80,13 +82,13 @@ def command(
     First a line for monitoring systems, then the answers in 80 columns, then each thing that was
     looked at. Exit code 0 OK, 1 warning, 2 critical, 3 unknown, as monitoring systems expect it.
     """
-    if fleet:
-        from daemon.commands.status_fleet import look_at_fleet
+    if fleet or options.site is not None:
+        from daemon.commands.status_fleet import look_at_fleet, look_at_site
 
-        if period_s is not None or at_utc is not None:
-            msg = "--fleet looks once, at the present: leave out --watch and --at"
+        if period_s is not None or at_utc is not None or (fleet and options.site):
+            msg = "--fleet and --site look once, at the present: one of them, no --watch, no --at"
             raise UsageError(msg)
-        return look_at_fleet(options, as_json=as_json)
+        return (look_at_fleet if fleet else look_at_site)(options, as_json=as_json)
     if period_s is None:
         return _look(options, at_utc, as_json=as_json)
     if as_json or at_utc is not None:

@@ -1,12 +1,13 @@
-"""`dcam-ctl status --fleet`: all sites of the central database, worst first."""
+"""`dcam-ctl status --fleet` and `--site`: how sites are, by the central database."""
 
 from __future__ import annotations
 
 from collections import Counter
 
 from daemon.commands.options import Options
-from daemon.commands.output import print_json, print_table, say
+from daemon.commands.output import one_line, print_json, print_table, say
 from daemon.fleet.opening import opened
+from daemon.fleet.site import site_verdict
 from daemon.fleet.verdict import SiteVerdict, fleet_level, judge_fleet
 from daemon.status.item import Level
 from daemon.store.central.sites import read_sites
@@ -18,7 +19,7 @@ MOST_LINES = 50
 
 def look_at_fleet(options: Options, *, as_json: bool) -> Level:
     """Print all sites; give the worst level. Raises ConfigError, CentralAwayError, StoreError."""
-    settings = options.config.fleet
+    settings = options.centre.fleet
     with opened(settings) as central:
         found = judge_fleet(read_sites(central), settings.silent_min * 60.0)
     level = fleet_level(found)
@@ -42,6 +43,24 @@ def look_at_fleet(options: Options, *, as_json: bool) -> Level:
     if len(found) > len(shown):
         say(f"and {len(found) - len(shown)} more; --json has all")
     return level
+
+
+def look_at_site(options: Options, *, as_json: bool) -> Level:
+    """Print how one site said it was at its last sync. Raises as `look_at_fleet`, UsageError."""
+    settings, name = options.centre.fleet, str(options.site)
+    with opened(settings) as central:
+        found, said = site_verdict(central, name, settings.silent_min * 60.0)
+    heard_utc = found.site.heard_utc.replace(microsecond=0)
+    if as_json:
+        of_centre = {"level": found.level.name.lower(), "code": found.level, "text": found.text}
+        print_json({"command": "status", **said, "site": name, "heard_utc": heard_utc, **of_centre})
+        return found.level
+    say(one_line(f"DCAM {found.level.name} - {name}: {found.text}"))
+    say()
+    say(f"heard {utc_text(heard_utc)}; what its pier said then:")
+    items = said.get("items", ())
+    print_table(("what", "state", ""), [(one["name"], one["level"], one["text"]) for one in items])
+    return found.level
 
 
 def _slot(one: SiteVerdict) -> str:

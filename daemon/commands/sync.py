@@ -9,7 +9,8 @@ import click
 
 from daemon.commands.options import Options, common_options, pass_options
 from daemon.commands.output import note, progress, say
-from daemon.errors import DcamError, UsageError
+from daemon.config.outputs import FleetSection
+from daemon.errors import DcamError
 
 if TYPE_CHECKING:
     from daemon.store.central.connecting import Central
@@ -31,24 +32,19 @@ def command(options: Options, prepare: bool) -> None:
     this every 5 minutes. Reads the database beside dcamd, and never makes it wait: the site's own
     database stays the truth.
     """
-    config = options.config
-    if config.fleet.url is None:
-        if prepare:
-            msg = "--prepare: the config has no [fleet] url; see docs/fleet.md"
-            raise UsageError(msg)
-        say("nowhere to copy to: the config has no [fleet] url")
-        return
     if prepare:
-        _prepare(options)
-        return
-    _sync(options)
+        _prepare(options.centre.fleet)
+    elif options.config.fleet.url is None:
+        say("nowhere to copy to: the config has no [fleet] url")
+    else:
+        _sync(options)
 
 
-def _prepare(options: Options) -> None:
+def _prepare(settings: FleetSection) -> None:
     from daemon.fleet.opening import address
     from daemon.store.central.connecting import connect_central, prepare
 
-    central = connect_central(*address(options.config.fleet))
+    central = connect_central(*address(settings))
     try:
         before, now = prepare(central)
     finally:

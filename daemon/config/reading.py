@@ -45,7 +45,11 @@ _TAKEN_NAMES = frozenset({"main", "sub", "raw", "sigma", "closure", "spread", "r
 
 def load_config(path: Path) -> Config:
     """Read and check a config file. Raises ConfigError with one line for each problem."""
-    data = _read_toml(path)
+    return config_of(read_toml(path), path)
+
+
+def config_of(data: Mapping[str, Any], path: Path) -> Config:
+    """Check what a config file holds. Raises as `load_config`."""
     try:
         config = Config.model_validate(data, context={"directory": path.absolute().parent})
     except ValidationError as error:
@@ -57,7 +61,8 @@ def load_config(path: Path) -> Config:
     return config
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, Any]:
+    """What a file holds. Raises ConfigError."""
     try:
         with path.open("rb") as file:
             content = file.read(MOST_BYTES + 1)
@@ -104,7 +109,7 @@ def _contradictions(config: Config) -> list[str]:
     problems += _burst_problems(config)
     problems += reading_problems(config)
     problems += alarm_problems(config)
-    problems += web_problems(config)
+    problems += web_problems(config.web)
     head = config.pan_tilt
     if head.port is not None and (problem := port_problem(head.port)):
         problems.append(f'pan_tilt.port: "{head.port}" {problem}')

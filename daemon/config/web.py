@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import ipaddress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from pydantic import Field, Strict
 
 from daemon.config.site import Directory, Section
 from daemon.errors import ConfigError
 from daemon.file_errors import file_error_text
-
-if TYPE_CHECKING:
-    from daemon.config.model import Config
 
 LEAST_TOKEN = 16
 """Characters: of random letters and digits more than anyone can try."""
@@ -62,9 +59,8 @@ def _token_of(path: Path) -> str:
     return token
 
 
-def web_problems(config: Config) -> list[str]:
+def web_problems(web: WebSection) -> list[str]:
     """Name what contradicts itself in `[web]`."""
-    web = config.web
     try:
         is_loopback = web.is_loopback
     except ValueError:

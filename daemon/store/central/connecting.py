@@ -11,9 +11,15 @@ from sqlalchemy import Engine, create_engine, inspect, text
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError, SQLAlchemyError
 
-from daemon.errors import ConfigError, DatabaseNewerError, DatabaseOlderError, StoreError
+from daemon.errors import ConfigError, DatabaseOlderError, StoreError
 from daemon.store.central.tables import SITE
-from daemon.store.revisions import SCRIPTS, known_revisions
+from daemon.store.revisions import (
+    SCRIPTS,
+    Advice,
+    known_revisions,
+    require_head,
+    require_known,
+)
 from drivers.libraries import require_library
 
 if TYPE_CHECKING:
@@ -61,7 +67,8 @@ def open_central(url: str, password: str | None) -> Central:
     central = connect_central(url, password)
     try:
         with central.transaction() as connection:
-            _require_head(connection, central.name)
+            known = known_revisions(CENTRAL_SCRIPTS)
+            require_head(_revision(connection), central.name, known, _CENTRAL)
     except BaseException:
         central.close()
         raise
@@ -133,28 +140,17 @@ def _revision(connection: Connection) -> str | None:
     return None if found is None else str(found)
 
 
-def _require_head(connection: Connection, name: str) -> None:
-    """Raise DatabaseNewerError or DatabaseOlderError unless the revision is this version's."""
-    found, known = _revision(connection), known_revisions(CENTRAL_SCRIPTS)
-    if found is None:
-        msg = f"{name}: has no tables of this program: run dcam-ctl sync --prepare as its owner"
-        raise DatabaseOlderError(msg)
-    _require_known(found, known, name)
-    if found != known[-1]:
-        msg = (
-            f"{name}: made by an older version (central revision {found}, this one needs "
-            f"{known[-1]}): run dcam-ctl sync --prepare as its owner; rows wait until then"
-        )
-        raise DatabaseOlderError(msg)
+def _without_tables(place: object) -> StoreError:
+    msg = f"{place}: has no tables of this program: run dcam-ctl sync --prepare as its owner"
+    return DatabaseOlderError(msg)
 
 
-def _require_known(found: str, known: tuple[str, ...], name: str) -> None:
-    if found not in known:
-        msg = (
-            f"{name}: made by a newer version (central revision {found}, this one knows up to "
-            f"{known[-1]}): install that version here; rows wait until then"
-        )
-        raise DatabaseNewerError(msg)
+_CENTRAL = Advice(
+    "central revision",
+    _without_tables,
+    "run dcam-ctl sync --prepare as its owner; rows wait until then",
+    lambda _place, _known: "install that version here; rows wait until then",
+)
 
 
 def prepare(central: Central) -> tuple[str | None, str]:
@@ -173,8 +169,7 @@ def prepare(central: Central) -> tuple[str | None, str]:
                 f"{central.name}: holds tables of another program: give dcam a database of its own"
             )
             raise StoreError(msg)
-        if found is not None:
-            _require_known(found, known, central.name)
+        require_known(found, central.name, known, _CENTRAL)
         config = _alembic_config()
         config.attributes["connection"] = connection
         command.upgrade(config, "head")

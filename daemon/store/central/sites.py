@@ -32,14 +32,16 @@ class CentralSite:
     """Since it was heard, by the central server's clock."""
 
 
-def read_sites(central: Central) -> list[CentralSite]:
-    """All of them by name. Raises CentralAwayError."""
+def read_sites(central: Central, name: str | None = None) -> list[CentralSite]:
+    """All of them by name, or the one of a name. Raises CentralAwayError."""
     columns = SITE.c
     query = select(
         *(columns.id, columns.name, columns.heard_utc, columns.level, columns.summary),
         *(columns.last_slot_utc, columns.latitude_deg, columns.longitude_deg, columns.version),
         func.extract("epoch", func.now() - columns.heard_utc).label("silent_s"),
     ).order_by(columns.name)
+    if name is not None:
+        query = query.where(columns.name == name)
     with central.transaction() as connection:
         found = connection.execute(query).all()
     return [

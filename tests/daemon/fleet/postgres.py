@@ -108,13 +108,13 @@ class Server:
 class Proxy:
     """A TCP line to a server. `allowance` says of each connection after how many bytes it is cut.
 
-    None: never. Whatever is on its way is lost in both directions.
+    It is given how many were cut; None: never. Whatever is on its way is lost in both directions.
     """
 
     def __init__(
         self,
         port: int,
-        allowance: Callable[[], int | None],
+        allowance: Callable[[int], int | None],
         at_bytes: int = 0,
         then: Callable[[], None] = lambda: None,
     ) -> None:
@@ -147,7 +147,7 @@ class Proxy:
                 client, _ = self._listening.accept()
             except OSError:
                 return
-            line = _Line(self, client, self._allowance())
+            line = _Line(self, client, self._allowance(self.cuts))
             self._threads.append(threading.Thread(target=line.run, args=(self._to,)))
             self._threads[-1].start()
 
@@ -155,6 +155,7 @@ class Proxy:
 class _Line:
     def __init__(self, proxy: Proxy, client: socket.socket, left: int | None) -> None:
         self._proxy, self._client, self._left = proxy, client, left
+        self._is_cut = False
 
     def run(self, port: int) -> None:
         with (
@@ -168,6 +169,12 @@ class _Line:
             self._pump(client, server, ends)
             back.join()
 
+    def _cut(self) -> None:
+        """Count it once, whichever direction was first."""
+        if not self._is_cut:
+            self._is_cut = True
+            self._proxy.cuts += 1
+
     def _pump(
         self, source: socket.socket, target: socket.socket, ends: tuple[socket.socket, ...]
     ) -> None:
@@ -175,7 +182,7 @@ class _Line:
             while data := source.recv(16_384):
                 if self._left is not None:
                     if len(data) >= self._left:
-                        self._proxy.cuts += 1
+                        self._cut()
                         break
                     self._left -= len(data)
                 self._proxy.count(len(data))
@@ -186,17 +193,20 @@ class _Line:
 
 
 def cut_at_random(
-    seed: int, cuts: int, most_bytes: int, before: Callable[[int], None] = lambda _number: None
-) -> Callable[[], int | None]:
-    """Cut so many connections, each after a random number of bytes.
+    seed: int, cuts: int, most_bytes: int, after: Callable[[int], None] = lambda _number: None
+) -> Callable[[int], int | None]:
+    """Cut so many times, each time a connection after a random number of bytes.
 
-    `before` is called with the number of each before it is let through.
+    `after` is called with the number of each cut as the next connection comes.
     """
-    draw, numbers = random.Random(seed), itertools.count(1)
+    draw, said = random.Random(seed), itertools.count(1)
+    pending = next(said)
 
-    def allowance() -> int | None:
-        number = next(numbers)
-        before(number)
-        return draw.randrange(1, most_bytes) if number <= cuts else None
+    def allowance(done: int) -> int | None:
+        nonlocal pending
+        while pending <= done:
+            number, pending = pending, next(said)
+            after(number)
+        return draw.randrange(1, most_bytes) if done < cuts else None
 
     return allowance

@@ -60,7 +60,7 @@ def test_a_sync_that_was_killed_in_the_middle_costs_nothing(
     rows = len(rows_here(state, MEASUREMENT))
     program: list[subprocess.Popen[bytes]] = []
 
-    def none() -> None:
+    def none(_cuts: int) -> None:
         return None
 
     def kill() -> None:
@@ -128,3 +128,47 @@ def test_a_site_is_exported_from_the_centre_as_at_its_pier(
     assert (code, name in err) == (2, True)
     shared = next((tmp_path / "cache").rglob("dcam.toml")).read_text()
     assert "secret" not in shared
+
+
+def test_what_reads_a_record_reads_it_from_the_centre_alike(
+    config: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    state, name = tmp_path / "one", site_name(config)
+    fill(state, 300)
+    levelled = tmp_path / "levelled.csv"
+    levelled.write_text("time,y_mm,sigma_mm\n2026-03-01T02:00:00Z,-1.2,0.1\n")
+    here, span = ["--config", config, "--state", state], ["--since", "2026-03-01"]
+    said = ["ledger", "annotate", *span, "--until", "2026-03-02", "--by", "me", "slab cast"]
+    assert ctl(capsys, *here, *said)[0] == 0
+    assert ctl(capsys, *here, "sync")[0] == 0
+    # Whoever reads needs the address alone.
+    centre = tmp_path / "centre.toml"
+    centre.write_text(f'[fleet]\nurl = "{config.read_text().split("url = ")[-1].strip()[1:-1]}"\n')
+    commands = [
+        *(["ledger"], ["ledger", "history"], ["gaps"], ["datum"], ["analyse"]),
+        ["compare", "--reference", levelled],
+    ]
+    for words in commands:
+        code, at_pier, err = ctl(capsys, *here, *words, "--json")
+        assert code == 0, err
+        found = ctl(capsys, "--config", centre, *words, "--site", name, "--json")
+        assert (found[0], found[1]) == (0, at_pier), found[2]
+    code, _, err = ctl(capsys, "--config", centre, "ledger", "--site", name, "undo", "1", "no")
+    assert (code, "--site only reads" in err) == (2, True)
+    code, out, _ = ctl(capsys, "--config", centre, "status", "--site", name, "--json")
+    status = json.loads(out)
+    assert (status["site"], status["last"]["slot_utc"]) == (name, "2026-03-01T04:59:00Z")
+    assert code == status["code"] == 2  # no daemon runs there
+
+
+def test_a_wrong_key_of_who_only_reads_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "centre.toml"
+    path.write_text('[fleet]\nurll = "postgresql://dcam@central.example/dcam"\n')
+    code, _, err = ctl(capsys, "--config", path, "gaps", "--site", "pier-1")
+    assert (code, "fleet.urll" in err, "did you mean" in err.lower()) == (3, True, True), err
