@@ -88,6 +88,14 @@ def test_systemd_rates_the_unit_as_locked_in(name: str) -> None:
     assert result.returncode == 0, result.stdout
 
 
+@pytest.mark.parametrize("name", ["alarm", "report", "send", "sync", "web"])
+def test_on_a_busy_computer_dcamd_has_many_times_the_processor_of_its_helpers(name: str) -> None:
+    """By the weight of their groups: Nice does not count between two services."""
+    assert int(service()["CPUWeight"]) >= 300
+    helper = (UNITS / f"dcam-{name}.service").read_text()
+    assert "\nCPUWeight=10\n" in helper
+
+
 def test_devices_and_compiler_are_not_locked_out() -> None:
     text = UNIT.read_text()
     for device in ("usb_device", "ttyUSB", "ttyACM", "ttyS"):
