@@ -95,7 +95,7 @@ class PelcoMachine:
             if not self._model.feedback:
                 return b""
             axis, answer = (self.pan, PAN_IS) if command2 == ASK_PAN else (self.tilt, TILT_IS)
-            return self._angle(answer, axis.at_deg(now_s))
+            return self.angle_answer(answer, axis.at_deg(now_s))
         if command2 in {SET_PAN, SET_TILT}:
             if not self._model.feedback:  # a head that knows where it is could answer it too
                 return b""
@@ -123,7 +123,8 @@ class PelcoMachine:
         if self._moves == self._model.jam_at_move:
             self._jam_s = now_s + 0.05
 
-    def _angle(self, command: int, angle_deg: float) -> bytes:
+    def angle_answer(self, command: int, angle_deg: float) -> bytes:
+        """Say where an axis is."""
         high, low = divmod(round(angle_deg * 100.0) % FULL_TURN, 256)
         whole = message(self._model.address, 0, command, high, low)
         if not self._model.short_answers:

@@ -96,7 +96,7 @@ class PtuMachine:
         said = b""
         if self._strike_s is not None and now_s >= self._strike_s:
             self._strike_s = None
-            said += self._strike(now_s)
+            said += self.hit_limit(now_s)
         while True:
             if self._waiting is not None:
                 if self._moves_now(now_s):
@@ -152,7 +152,7 @@ class PtuMachine:
             return self._line(f"* Limit bounds are {state}")
         if command[0] in NAMES and len(command) > 1:
             return self._do_axis(command[0], command[1], command[2:], now_s)
-        return self._refuse(ILLEGAL)
+        return self.refusal(ILLEGAL)
 
     def _do_axis(self, letter: str, what: str, argument: str, now_s: float) -> bytes:
         axis, name = (self.pan if letter == "P" else self.tilt), NAMES[letter]
@@ -161,8 +161,8 @@ class PtuMachine:
             try:
                 value = int(argument)
             except ValueError:
-                return self._refuse(ILLEGAL)
-            return self._set(axis, name, what, value, now_s)
+                return self.refusal(ILLEGAL)
+            return self.set_value(axis, name, what, value, now_s)
         here = self._counts(axis.at_deg(now_s))
         speed, accel = (round(v / self._deg) for v in (axis.speed_deg_s, axis.accel_deg_s2))
         answers = {
@@ -175,27 +175,28 @@ class PtuMachine:
             "A": (f"{name} acceleration is ", f"{accel}", " positions/sec^2"),
         }
         if what not in answers:
-            return self._refuse(ILLEGAL)
+            return self.refusal(ILLEGAL)
         before, value_text, after = answers[what]
         return self._line(f"* {before}{value_text}{after}" if self._verbose else f"* {value_text}")
 
-    def _set(self, axis: Axis, name: str, what: str, value: int, now_s: float) -> bytes:
+    def set_value(self, axis: Axis, name: str, what: str, value: int, now_s: float) -> bytes:
+        """Take a speed, an acceleration or a position to go to, or refuse it."""
         if what in {"S", "A"}:
             if value <= 0:
-                return self._refuse(f"Minimum allowable {name} value is 1")
+                return self.refusal(f"Minimum allowable {name} value is 1")
             if what == "S":
                 axis.speed_deg_s = value * self._deg
             else:
                 axis.accel_deg_s2 = value * self._deg
             return self._line("*")
         if what not in {"P", "O"}:
-            return self._refuse(ILLEGAL)
+            return self.refusal(ILLEGAL)
         if what == "O":
             value += self._counts(axis.at_deg(now_s))
         low, high = self._counts(axis.limits_deg[0]), self._counts(axis.limits_deg[1])
         if self._limited and not low <= value <= high:
             bound, limit = ("Maximum", high) if value > high else ("Minimum", low)
-            return self._refuse(f"{bound} allowable {name} position is {limit}")
+            return self.refusal(f"{bound} allowable {name} position is {limit}")
         if self._velocity_control:
             return self._line("*")
         if self._slaved:
@@ -208,7 +209,7 @@ class PtuMachine:
             self._strike_said = self._moves == self._model.limit_hit_at_move
         return self._line("*")
 
-    def _strike(self, now_s: float) -> bytes:
+    def hit_limit(self, now_s: float) -> bytes:
         """Be blocked in the middle of a move; some say so."""
         for axis in (self.pan, self.tilt):
             axis.jam(now_s)
@@ -223,7 +224,8 @@ class PtuMachine:
         """Truncated, but for a hair that is the arithmetic's own."""
         return math.trunc(angle_deg / self._deg + math.copysign(1e-6, angle_deg))
 
-    def _refuse(self, message: str) -> bytes:
+    def refusal(self, message: str) -> bytes:
+        """Say why a command is not carried out."""
         return self._line(f"! {message}")
 
     def _line(self, text: str) -> bytes:

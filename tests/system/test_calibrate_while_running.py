@@ -4,33 +4,30 @@ import contextlib
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 from core.results import Flag, Reason
-from daemon.errors import StoreError
 from daemon.store.database import open_store_readonly
 from daemon.store.records import GapCause
 from tests.daemon.commands.conftest import SIMULATED
-from tests.waiting import PATIENCE_S
+from tests.waiting import PATIENCE_S, wait_for
 
 ROOT = Path(__file__).parents[2]
 
 
-def wait_for_slots(dcamd: subprocess.Popen, state: Path, count: int) -> None:
-    """Wait until so many slots have a row."""
-    end_s = time.monotonic() + PATIENCE_S
-    while time.monotonic() < end_s:
+def wait_for_slots(dcamd: subprocess.Popen, log: Path, count: int) -> None:
+    """Wait until so many slots have a row, as dcamd says in its log."""
+
+    def are_there() -> bool:
         assert dcamd.poll() is None, "dcamd ended"
-        # The database may be in the making.
-        with contextlib.suppress(StoreError), open_store_readonly(state) as store:
-            if len(store.measured_slots()) >= count:
-                return
-        time.sleep(0.3)
-    pytest.fail(f"{count} slots did not come")
+        return slots_done(log) >= count
+
+    wait_for(are_there, f"{count} slots")
+
+
+def slots_done(log: Path) -> int:
+    return log.read_text().count("slot_done")
 
 
 @contextlib.contextmanager
@@ -48,14 +45,15 @@ def test_slots_before_gap_calibration_slots_after(tmp_path: Path) -> None:
     of_daemon, of_head = tmp_path / "dcamd.toml", tmp_path / "calibrate.toml"
     of_daemon.write_text(SIMULATED + 'clock = "system"\n[schedule]\nperiod_s = 2\n')
     of_head.write_text(SIMULATED + "[schedule]\nperiod_s = 2\n")
-    with (tmp_path / "log").open("w") as log:
+    said = tmp_path / "log"
+    with said.open("w") as log:
         dcamd = subprocess.Popen(
             [sys.executable, "-m", "daemon.main", "--config", of_daemon, "--state", state],
             cwd=ROOT,
             stderr=log,
         )
     with dcamd, killed_at_the_end(dcamd):
-        wait_for_slots(dcamd, state, 2)
+        wait_for_slots(dcamd, said, 2)
         calibrated = subprocess.run(
             [
                 *(sys.executable, "-m", "daemon.ctl", "--config", of_head, "--state", state),
@@ -68,9 +66,7 @@ def test_slots_before_gap_calibration_slots_after(tmp_path: Path) -> None:
             check=False,
         )
         assert calibrated.returncode == 0, calibrated.stderr
-        with open_store_readonly(state) as store:
-            before = len(store.measured_slots())
-        wait_for_slots(dcamd, state, before + 2)
+        wait_for_slots(dcamd, said, slots_done(said) + 2)
         dcamd.send_signal(signal.SIGTERM)
         assert dcamd.wait(PATIENCE_S) == 0
     with open_store_readonly(state) as store:

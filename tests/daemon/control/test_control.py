@@ -34,7 +34,8 @@ class Served:
     def __init__(self, station) -> None:
         self.station = station
         self.closed = 0
-        self.lease = CameraLease(self._close)
+        self.pause_ended = threading.Event()
+        self.lease = CameraLease(self._close, self._changed)
         station.start()
         self.runner = SlotRunner(
             station.context,
@@ -48,6 +49,14 @@ class Served:
 
     def _close(self) -> None:
         self.closed += 1
+
+    def _changed(self, reason: str | None) -> None:
+        if reason is None:
+            self.pause_ended.set()
+
+    def until_measuring(self) -> None:
+        """Wait until the pause has ended."""
+        assert self.pause_ended.wait(PATIENCE_S), "the pause did not end with its connection"
 
 
 @pytest.fixture
@@ -81,20 +90,6 @@ def ask(connection: socket.socket, line: bytes) -> dict:
     return json.loads(connection.makefile("rb").readline())
 
 
-def until_measuring(lease: CameraLease) -> None:
-    """Wait until nobody holds the pause any more: a hold of our own gets through."""
-    ended = threading.Event()
-
-    def hold() -> None:
-        while not lease.hold(hold, "test"):
-            pass
-        lease.release(hold)
-        ended.set()
-
-    threading.Thread(target=hold, daemon=True).start()
-    assert ended.wait(PATIENCE_S), "the pause did not end with its connection"
-
-
 def test_a_pause_is_a_gap_with_its_cause_and_ends_by_itself(served: Served) -> None:
     station = served.station
     served.runner.run(2)
@@ -102,7 +97,7 @@ def test_a_pause_is_a_gap_with_its_cause_and_ends_by_itself(served: Served) -> N
         assert paused
         assert served.closed == 1
         served.runner.run(3)
-    until_measuring(served.lease)
+    served.until_measuring()
     served.runner.run(2)
     assert len(station.source.captures) == 4
     assert station.minutes() == [0, 1, 5, 6]
@@ -115,7 +110,7 @@ def test_a_client_that_dies_lets_the_daemon_go_on(served: Served) -> None:
         assert ask(connection, b'{"command": "pause"}')["ok"]
         assert served.lease.reason == "paused"
         # no resume: the connection just goes away, as the kernel does it for a killed process
-    until_measuring(served.lease)
+    served.until_measuring()
     served.runner.run(1)
     assert served.station.minutes() == [0]
 

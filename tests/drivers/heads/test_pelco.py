@@ -175,8 +175,8 @@ def test_a_head_that_rests_a_little_beside_is_near_enough() -> None:
     class Coarse(PelcoMachine):
         """Comes to rest 0.04 deg short, whatever it is asked."""
 
-        def _angle(self, command: int, angle_deg: float) -> bytes:
-            return super()._angle(command, angle_deg - 0.04)
+        def angle_answer(self, command: int, angle_deg: float) -> bytes:
+            return super().angle_answer(command, angle_deg - 0.04)
 
     line = MachineLine(Coarse(PelcoModel()))
     head = PelcoHead(line, SETTINGS)

@@ -214,10 +214,10 @@ def test_counts_never_round_across_a_limit() -> None:
 
 def test_a_refusal_is_reported_in_the_head_s_words_and_halts() -> None:
     class Choosy(PtuMachine):
-        def _set(self, axis, name, what, value, now_s):
+        def set_value(self, axis, name, what, value, now_s):
             if what == "S":
-                return self._refuse("Minimum allowable Pan speed is 57")
-            return super()._set(axis, name, what, value, now_s)
+                return self.refusal("Minimum allowable Pan speed is 57")
+            return super().set_value(axis, name, what, value, now_s)
 
     head, line = head_on(Choosy(D46), speed_deg_s=1.0)
     with pytest.raises(HeadError, match=r"refuses PS19 .*speed is 57.* pan_tilt.speed_deg_s"):
@@ -472,8 +472,8 @@ def test_a_banner_that_comes_in_pieces_is_a_restart_all_the_same() -> None:
 
 def test_both_limit_switches_are_no_restart() -> None:
     class Striking(PtuMachine):
-        def _strike(self, now_s: float) -> bytes:
-            return super()._strike(now_s) + b"!T"
+        def hit_limit(self, now_s: float) -> bytes:
+            return super().hit_limit(now_s) + b"!T"
 
     head, _ = head_on(Striking(PtuModel(limit_hit_at_move=1)))
     with pytest.raises(HeadError, match="ran into its pan and tilt limit switch"):
