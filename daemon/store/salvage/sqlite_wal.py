@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise, product
 from pathlib import Path
@@ -46,6 +46,8 @@ class Frame:
     """It is what was written: its checksum says so, perhaps after one bit was put right."""
     as_written: bool
     """Whole, with nothing put right: SQLite reads it if it reads all before it."""
+    unproven: bool
+    """Not whole, and no bit put right makes it so: half written, or damaged in many places."""
     data: bytes
 
 
@@ -80,7 +82,18 @@ class Log:
         read = 0
         while read < len(self.frames) and self.is_header_sound and self.frames[read].as_written:
             read += 1
-        return sum(frame.commits and frame.whole for frame in self.frames[read:])
+        lost = sum(frame.commits and frame.whole for frame in self.frames[read:])
+        return lost - 1 if lost and self._is_last_half_written() else lost
+
+    def _is_last_half_written(self) -> bool:
+        """Whether the last commit has a frame of which a cut may have kept a part.
+
+        A disk writes the sectors of one commit in any order, those of its last frame perhaps first;
+        each commit before was on the disk as a whole before it began.
+        """
+        *before, _ = self.committed
+        begins = max((k + 1 for k, frame in enumerate(before) if frame.commits), default=0)
+        return any(frame.unproven for frame in before[begins:])
 
 
 def read_log(path: Path, database_page_size: int | None = None) -> Log:
@@ -164,6 +177,10 @@ def _frames(
         if index > last:
             return
         versions, proven = _put_right(frame, raw[index + 1 : index + 2], computed, order)
+        if not versions:  # of an older log, it ends no commit of this one
+            seen = _frame(frame.content)
+            commits = seen.commits and frame.salts == salts
+            versions = [replace(seen, commits=commits, unproven=True)]
         yield from versions
         chains = (proven,) if proven else (frame.stored, *computed)[:_MOST_CHAINS]
 
@@ -171,8 +188,10 @@ def _frames(
 def _put_right(
     frame: _RawFrame, following: list[_RawFrame], computed: tuple[Chain, ...], order: str
 ) -> tuple[list[Frame], Chain | None]:
-    """What a frame may have been before one bit changed, and the checksum that it then had."""
-    as_seen = _frame(frame.content, whole=False)
+    """What a frame may have been before one bit changed, and the checksum that it then had.
+
+    Nothing where that explains nothing.
+    """
     for chain in computed:
         content = _with_one_bit_changed(frame.content, chain, frame.stored, order)
         stored_is_wrong = _bits_apart(chain, frame.stored) == 1
@@ -180,16 +199,16 @@ def _put_right(
             (next_,) = following
             stored_is_wrong = _checksum(next_.content, chain, order) == next_.stored
         if stored_is_wrong:
-            other = [] if content is None else [_frame(content, whole=False)]
+            other = [] if content is None else [_frame(content)]
             return [*other, _frame(frame.content, whole=True)], chain
         if content is not None:
-            return [as_seen, _frame(content, whole=True)], frame.stored
-    return [as_seen], None
+            return [_frame(frame.content), _frame(content, whole=True)], frame.stored
+    return [], None
 
 
-def _frame(content: bytes, *, whole: bool, as_written: bool = False) -> Frame:
+def _frame(content: bytes, *, whole: bool = False, as_written: bool = False) -> Frame:
     page, size_after = struct.unpack_from(">2I", content)
-    return Frame(page, size_after > 0, whole, as_written, content[8:])
+    return Frame(page, size_after > 0, whole, as_written, unproven=False, data=content[8:])
 
 
 def _checksum(data: bytes, chain: Chain, order: str) -> Chain:

@@ -23,7 +23,7 @@ from daemon.store.salvage.damage_note import databases_set_aside
 from tests.daemon.store.examples import PERIOD_S, START, record, slot
 
 ROWS = 2
-HEADER, FRAME_HEADER, PAGE = 32, 24, 4096
+HEADER, FRAME_HEADER, PAGE, SECTOR = 32, 24, 4096, 512
 LOG = "dcam.db-wal"
 
 
@@ -200,6 +200,71 @@ def test_frames_from_before_the_log_was_begun_again_are_no_damage(tmp_path: Path
     with open_checked_store(tmp_path / "killed") as store:
         assert len(store.measured_slots()) == 31
     assert databases_set_aside(tmp_path / "killed") == []
+
+
+def last_commit(directory: Path, *, begun_again: bool) -> tuple[bytes, bytes]:
+    """The log before and after a row's commit; in `directory` what a kill before it left.
+
+    Behind what was written since it was begun again lies the log from before.
+    """
+    with open_store(directory / "live") as store:
+        for number in range(10):
+            store.add_measurement(record(slot(number)))
+        with closing(sqlite3.connect(store.path)) as connection:
+            if begun_again:
+                connection.execute("PRAGMA wal_checkpoint(RESTART)").fetchall()
+            store.add_measurement(record(slot(10)))
+            shutil.copytree(directory / "live", directory / "killed")
+        log = store.path.with_name(LOG)
+        before = log.read_bytes()
+        store.add_measurement(record(slot(11)))
+        after = log.read_bytes()
+    (directory / "killed/dcam.db-shm").unlink()
+    return before, after
+
+
+def half_written(before: bytes, after: bytes) -> Iterable[bytes]:
+    """The log with a part of the sectors of its last commit: all but one, the first ones, any."""
+    sectors = [
+        start
+        for start in range(0, len(after), SECTOR)
+        if before[start : start + SECTOR] != after[start : start + SECTOR]
+    ]
+    rng = random.Random(1)
+    kept = [[other for other in sectors if other != missing] for missing in sectors]
+    kept += [sectors[:count] for count in range(len(sectors))]
+    kept += [rng.sample(sectors, rng.randrange(len(sectors))) for _ in range(20)]
+    for starts in kept:
+        image = bytearray(before.ljust(max(starts, default=0) + 1, b"\0"))
+        for start in starts:
+            image[start : start + SECTOR] = after[start : start + SECTOR]
+        yield bytes(image)
+
+
+@pytest.mark.parametrize("begun_again", [False, True])
+def test_a_commit_that_a_cut_left_half_written_is_no_damage(
+    tmp_path: Path, begun_again: bool
+) -> None:
+    """A disk writes sectors in any order; of rows that were acknowledged nothing is missing."""
+    path = tmp_path / "killed/dcam.db"
+    before, after = last_commit(tmp_path, begun_again=begun_again)
+    for log in half_written(before, after):
+        path.with_name(LOG).write_bytes(log)
+        assert find_damage(path, Depth.NEWEST) is None
+    with open_checked_store(path.parent) as store:
+        assert len(store.measured_slots()) == 11
+    assert databases_set_aside(path.parent) == []
+
+
+def test_sectors_lost_of_an_earlier_commit_are_damage(tmp_path: Path) -> None:
+    """Before the last commit began, all others were on the disk as a whole."""
+    path = tmp_path / "killed/dcam.db"
+    before, after = last_commit(tmp_path, begun_again=False)
+    end = len(before) - PAGE - FRAME_HEADER
+    for start in (end + FRAME_HEADER, end - PAGE):
+        lost = after[:start] + bytes(SECTOR) + after[start + SECTOR :]
+        path.with_name(LOG).write_bytes(lost)
+        assert find_damage(path, Depth.NEWEST) is not None
 
 
 @pytest.mark.parametrize("torn", [0, 7, 12, 20, 31])
