@@ -192,7 +192,8 @@ def adjust_command(
     """Measure the same frames with two calibrations, and adjust the chain to what they say.
 
     Board, lenses and cameras must not have been touched between the two. By default the kept
-    frames next to the later reference are measured. All links are adjusted together, by least
+    frames next to the later reference are measured. Where no frames tell, as with another camera,
+    the rows of the week before and after are compared. All links are adjusted together, by least
     squares.
     """
     from daemon.commands.datum_adjust import Wanted, adjusted

@@ -219,18 +219,18 @@ def lens_changes(old: CalibratedSite, new: CalibratedSite) -> list[str]:
 
 
 def drift_beyond(measured: Measurement, site: Site) -> list[str]:
-    """What says that the board, not the rig, has moved."""
+    """What says that the board, not the rig, has moved: a drift beyond the expected of its axis."""
     if measured.motion is None:
         return []
-    turn_mrad = 1e3 * float(np.linalg.norm(measured.motion.rotation_rad))
-    shift_mm = float(np.linalg.norm(measured.motion.translation_mm))
-    beyond = []
-    if turn_mrad > site.quality.expected_drift_mrad:
-        limit = f"[quality] expected_drift_mrad = {site.quality.expected_drift_mrad:g}"
-        beyond.append(f"the rig would have turned by {turn_mrad:.2f} mrad, {limit}")
-    if shift_mm > site.quality.expected_drift_mm:
-        limit = f"[quality] expected_drift_mm = {site.quality.expected_drift_mm:g}"
-        beyond.append(f"the rig would have moved by {shift_mm:.2f} mm, {limit}")
+    limits, beyond = site.quality, []
+    turn_mrad = 1e3 * float(np.abs(measured.motion.rotation_rad).max())
+    shift_mm = float(np.abs(measured.motion.translation_mm).max())
+    if turn_mrad > limits.expected_drift_mrad:
+        limit = f"[quality] expected_drift_mrad = {limits.expected_drift_mrad:g}"
+        beyond.append(f"the rig would have turned by {turn_mrad:.2f} mrad about one axis, {limit}")
+    if shift_mm > limits.expected_drift_mm:
+        limit = f"[quality] expected_drift_mm = {limits.expected_drift_mm:g}"
+        beyond.append(f"the rig would have moved by {shift_mm:.2f} mm along one axis, {limit}")
     return beyond
 
 

@@ -45,7 +45,7 @@ from drivers.frameset import FrameSetRow, read_frame_set
 
 CONTRADICTION = 4.0
 """Sigmas between two answers, in x or in y, of which then the one by the board is wrong."""
-_ROWS_BACK = timedelta(days=60)
+ROWS_BACK = timedelta(days=60)
 """Of the record, to see how the bridge moves. Chosen: two months hold every lag that a calibration
 leaves, and are read in seconds."""
 _MOST_MEASURED = 12
@@ -85,7 +85,7 @@ def find_zero(
     if active is not None:
         serials = circumstances_of(record.content).serials
         known = Known(active, reference_time(record, active), serials)
-    rows = list(_stored_rows(store, new.slot_utc))
+    rows = list(stored_rows(store, new.slot_utc - ROWS_BACK, new.slot_utc))
     if known is not None and (not rows or rows[-1].calibration_id != known.id):
         rows += _measured_rows(record, known, site, new.slot_utc, on_step)
     rows.sort(key=lambda row: row.slot_utc)
@@ -169,9 +169,8 @@ def reference_time(record: CalibrationRecord, active: ActiveCalibration) -> date
     return record.created_utc if moment is None else datetime.fromtimestamp(moment.utc_s, UTC)
 
 
-def _stored_rows(store: Store, until_utc: datetime) -> Iterator[SeenRow]:
-    """The good rows before a time, in order, as they are stored."""
-    since_utc = until_utc - _ROWS_BACK
+def stored_rows(store: Store, since_utc: datetime, until_utc: datetime) -> Iterator[SeenRow]:
+    """The good rows with since <= slot < until, in order, as they are stored."""
     for batch in read_columns(store.path, since_utc, until_utc, as_stored=True):
         for values in batch.rows():
             if values["flag"] != Flag.GOOD:

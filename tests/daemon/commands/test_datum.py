@@ -9,13 +9,15 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from core.results import Displacement, Flag, Measurement
 from daemon.store.circumstances import KEY, Circumstances, circumstances_of
 from daemon.store.database import open_store
-from daemon.store.records import DatumMethod, Reading
+from daemon.store.records import DatumMethod, DatumStep, Reading
 from tests.daemon.commands.conftest import Ctl, Ran, Site, edit_table
-from tests.daemon.store.examples import calibration, datum
+from tests.daemon.store.examples import calibration, datum, record
 
 LATER = timedelta(days=1)
 
@@ -170,6 +172,41 @@ def test_frames_that_contradict_the_link_are_not_believed_without_a_word(chain: 
     told = chain.ctl("datum", "adjust", "--from", chain.later, "--board-untouched")
     assert told.code == 0, told.err
     assert chain.links()[1]["method"] == "adjusted"
+
+
+def test_frames_of_another_camera_join_nothing_but_rows_on_both_sides_do(chain: Chain) -> None:
+    """Calibrations 2 and 3 are one calibration in the store, with another camera each."""
+    moved_mm, noise_mm2 = np.array([0.5, 3.0]), 1e-4 * np.eye(2)
+    with open_store(chain.state) as store:
+        (first,) = store.calibrations()
+        references = [utc("2026-03-05T12:00:00"), utc("2026-03-09T12:00:00")]
+        for number, reference_utc in enumerate(references, start=2):
+            made_with = Circumstances({"main": f"{number}00"}).to_dict()
+            made = replace(first, id=None, content={**first.content, KEY: made_with})
+            link = replace(datum(0.0, 2.0, 9.0), reference_utc=reference_utc)
+            steps = (DatumStep(DatumMethod.ROWS, 2, link.offset),) if number == 3 else link.steps
+            store.add_calibration(made, replace(link, steps=steps), activate=True)
+            for k in range(200):
+                mm = np.zeros(2) if number == 2 else -moved_mm
+                seen = Measurement(Flag.GOOD, (), Displacement(mm, noise_mm2), None, None)
+                slot_utc = reference_utc + timedelta(minutes=10 * (k + 1))
+                store.add_measurement(replace(record(slot_utc, seen), calibration_id=number))
+    ran = chain.ctl("datum", "adjust", "--from", chain.later)
+    assert ran.code == 0, ran.err
+    assert "the main camera is another one, serial 300 after 200" in ran.err
+    assert "rows before and after" in ran.err
+    *_, second, third = chain.links()
+    assert third["method"] == "adjusted"
+    assert third["y_mm"] - second["y_mm"] == pytest.approx(3.0, abs=0.05)
+    # The second one's own sigma, 9 mm, and next to nothing more.
+    assert third["sigma_y_mm"] == pytest.approx(second["sigma_y_mm"], abs=0.1)
+    again = chain.ctl("datum", "adjust", "--from", chain.later)
+    assert again.code == 1
+    assert "the present link is known better" in again.err
+
+
+def utc(text: str) -> datetime:
+    return datetime.fromisoformat(f"{text}+00:00")
 
 
 def status(chain: Chain) -> Ran:

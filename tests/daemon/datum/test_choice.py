@@ -91,15 +91,17 @@ def test_another_lens_is_noticed_and_the_same_one_calibrated_again_is_not(
 def test_a_rig_that_would_have_drifted_too_far_is_a_board_that_was_moved(bench: Path) -> None:
     site = load_config(bench / "dcam.toml").site()
 
-    def moved(turn_mrad: float, shift_mm: float) -> list[str]:
-        motion = RigMotion(
-            np.array([turn_mrad * 1e-3, 0.0, 0.0]), np.array([0.0, shift_mm, 0.0]), np.eye(6)
-        )
+    def moved(turns_mrad: list[float], shifts_mm: list[float]) -> list[str]:
+        motion = RigMotion(1e-3 * np.array(turns_mrad), np.array(shifts_mm), np.eye(6))
         return drift_beyond(Measurement(Flag.GOOD, (), None, None, motion), site)
 
-    assert moved(0.9, 1.4) == []
-    assert "turned by 3.00 mrad, [quality] expected_drift_mrad = 1" in moved(3.0, 0.0)[0]
-    assert "moved by 2.00 mm, [quality] expected_drift_mm = 1.5" in moved(0.0, 2.0)[0]
+    still = [0.0, 0.0, 0.0]
+    # As expected along each axis: 1.6 mrad and 2.2 mm in all.
+    assert moved([0.9, -0.9, 0.9], [-1.3, 1.4, 1.1]) == []
+    (turned,) = moved([0.0, 0.0, -3.0], still)
+    assert "turned by 3.00 mrad about one axis, [quality] expected_drift_mrad = 1" in turned
+    (shifted,) = moved(still, [0.0, 2.0, 0.0])
+    assert "moved by 2.00 mm along one axis, [quality] expected_drift_mm = 1.5" in shifted
 
 
 def test_a_row_carries_the_zero_with_the_bridge_s_own_movement_as_sigma() -> None:
