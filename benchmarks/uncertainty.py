@@ -12,8 +12,9 @@ import time
 import numpy as np
 
 from benchmarks.sites import Case, NumbersSite, make_numbers
+from core.analysis.budget import Budget, RowState
 from core.analysis.monte_carlo import monte_carlo
-from core.analysis.uncertainty import Budget, RowState, row_budget
+from core.analysis.row_budget import row_budget
 from core.checkerboard.resection import resect
 from core.moment import Moment
 from core.rig.compensation import (

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from core.analysis.uncertainty import COVERAGE, Budget, BudgetModel, coverage_factor
+from core.analysis.budget import COVERAGE, Budget, BudgetModel, coverage_factor
 from core.arrays import FloatArray
 from core.checkerboard.resection import BoardView, resect
 from core.geometry.lens import Lens

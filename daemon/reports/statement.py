@@ -15,8 +15,9 @@ import numpy as np
 import core
 import daemon
 import drivers
+from core.analysis.budget import Budget, RowState
 from core.analysis.monte_carlo import MonteCarlo, monte_carlo
-from core.analysis.uncertainty import Budget, RowState, row_budget
+from core.analysis.row_budget import row_budget
 from core.arrays import FloatArray
 from core.calibration.calibrate import Calibration
 from core.errors import CalibrationError

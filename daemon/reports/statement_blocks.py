@@ -8,8 +8,8 @@ from datetime import datetime
 
 import numpy as np
 
+from core.analysis.budget import COVERAGE, RELIABILITY, Input, two_digits
 from core.analysis.monte_carlo import AGREEMENT
-from core.analysis.uncertainty import COVERAGE, RELIABILITY, Input, two_digits
 from daemon.reports.document import Block, Bullets, Formula, Heading, Text, table
 from daemon.reports.history import GoodRows
 from daemon.reports.statement import (

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from core.analysis.budget import Budget, RowState, coverage_factor, two_digits
 from core.analysis.monte_carlo import monte_carlo
-from core.analysis.uncertainty import Budget, RowState, coverage_factor, row_budget, two_digits
+from core.analysis.row_budget import row_budget
 from core.checkerboard.resection import BoardPose
 from core.discs.disc_finder import Discs
 from core.geometry.pose import Pose
