@@ -17,6 +17,7 @@ from daemon.alarm.memory import read_memory
 from daemon.alarm.orders import acknowledge, end_silence, silence
 from daemon.alarm.receivers import NotAcceptedError, Receiver, receivers
 from daemon.alarm.wrong import alarm_name
+from daemon.commands.durations import duration_s
 from daemon.commands.options import (
     Options,
     SuggestingGroup,
@@ -40,7 +41,6 @@ from daemon.errors import ConfigError, ExitCode, UsageError
 from daemon.text import utc_text
 
 LOCK_NAME = "alarm.lock"
-_UNITS_MIN = {"m": 1.0, "min": 1.0, "h": 60.0, "d": 1440.0}
 
 
 @click.group(
@@ -215,19 +215,17 @@ def silence_command(
         count = end_silence(options.state, chosen, who, now_utc)
         say(f"{count} silence(s) ended")
         return
-    until_utc = silence(options.state, chosen, _span(duration), who, remark, now_utc)
+    until_utc = silence(options.state, chosen, _duration(duration), who, remark, now_utc)
     what = ", ".join(chosen) or "all alarms"
     say(f"silent until {utc_text(until_utc.replace(microsecond=0))}: {what}")
 
 
-def _span(text: str) -> timedelta:
-    number = text.rstrip("abcdefghijklmnopqrstuvwxyz")
-    unit = text[len(number) :]
-    try:
-        return timedelta(minutes=float(number) * _UNITS_MIN[unit])
-    except (ValueError, KeyError, OverflowError):
+def _duration(text: str) -> timedelta:
+    seconds = duration_s(text)
+    if seconds is None:
         msg = f"{text!r} is no duration such as 30m, 2h, 3d, nor end"
-        raise UsageError(msg) from None
+        raise UsageError(msg)
+    return timedelta(seconds=seconds)
 
 
 @command.command("list", epilog="\b\nExample:\n  dcam-ctl alarm list --json")

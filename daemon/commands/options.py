@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import errno
 import os
-import re
 import stat
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from typing import Any, TypeVar
 
 import click
 
+from daemon.commands.durations import duration_s
 from daemon.commands.output import ZONE, note, shown_zone
 from daemon.config.alarm import read_remains
 from daemon.config.centre import Centre, load_centre
@@ -273,10 +273,6 @@ def output_option(function: Function) -> Function:
     )(function)
 
 
-_AGO = re.compile(r"(?P<count>\d+(\.\d+)?)(?P<unit>[smhdw])")
-_UNIT_S = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 604800}
-
-
 def utc_time(_ctx: click.Context, _parameter: click.Parameter, text: str | None) -> datetime | None:
     """Read a time: ISO 8601, a date, or how long ago (`90m`, `24h`, `30d`); give it in UTC.
 
@@ -285,9 +281,8 @@ def utc_time(_ctx: click.Context, _parameter: click.Parameter, text: str | None)
     """
     if text is None:
         return None
-    if ago := _AGO.fullmatch(text.strip()):
-        seconds = float(ago["count"]) * _UNIT_S[ago["unit"]]
-        return datetime.now(UTC) - timedelta(seconds=seconds)
+    if (ago_s := duration_s(text)) is not None:
+        return datetime.now(UTC) - timedelta(seconds=ago_s)
     try:
         when = datetime.fromisoformat(text.strip())
     except ValueError:

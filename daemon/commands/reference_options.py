@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
-Function = TypeVar("Function", bound=Callable[..., Any])
+from daemon.commands.durations import duration_s
 
-_SPAN = re.compile(r"(?P<count>\d+(\.\d+)?)(?P<unit>[smhd])")
-_UNIT_S = {"s": 1, "m": 60, "h": 3600, "d": 86400}
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def span_s(_ctx: click.Context, _parameter: click.Parameter, text: str | None) -> float | None:
     """Read a span of time, as `10m`, in seconds. Raises click.BadParameter."""
     if text is None:
         return None
-    if found := _SPAN.fullmatch(text.strip()):
-        return float(found["count"]) * _UNIT_S[found["unit"]]
+    if (seconds := duration_s(text)) is not None:
+        return seconds
     msg = f"{text!r} is not a span of time; write 90s, 10m, 6h or 2d"
     raise click.BadParameter(msg)
 
