@@ -57,6 +57,7 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="dcam-rebuild-") as scratch:
         directory = options.directory or Path(scratch)
+        directory.mkdir(parents=True, exist_ok=True)
         if not (directory / "state").is_dir():
             make_record(directory, options.slots)
         print(flags(directory / "state"))

@@ -40,6 +40,8 @@ diameter_mm = 7.0
 distance_mm = 11500.0
 distance_sigma_mm = 20.0
 """
+WHERE = SimPlate("abutment", offset_mm=(53.0, 0.0))
+"""A fixed target, as the config and as the simulation have it; tests take it from here, too."""
 SLOTS, RENDERED = 2000, 20
 """Slots, and the pairs that are rendered for them, over and over."""
 KILLS = 3
@@ -73,6 +75,7 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="dcam-reprocess-") as scratch:
         directory = options.directory or Path(scratch)
+        directory.mkdir(parents=True, exist_ok=True)
         if not (directory / "many").is_dir():
             make_frames(directory, options.slots, FULL if options.full else SMALL)
         reprocess(directory, "serial", RENDERED)  # compiles the loops
@@ -98,8 +101,7 @@ def make_frames(directory: Path, slots: int, site: Path) -> None:
     """Render a frame set, calibrate on it, and make a long one of its images."""
     config, rendered, many = (directory / name for name in ("dcam.toml", "set", "many"))
     config.write_text(site.read_text() + PLATE)
-    plates = (SimPlate("abutment", offset_mm=(53.0, 0.0)),)
-    settings = SimSettings(seed=SEED, plates=plates)
+    settings = SimSettings(seed=SEED, plates=(WHERE,))
     plan = FrameSetPlan(intrinsics=8, rig=12, measure=RENDERED, measure_every_min=30.0)
     write_frame_set(rendered, load_config(config).site(), settings, plan)
     dcam_ctl(directory, "calibrate", "--from", rendered, "--accept")
@@ -128,9 +130,8 @@ def reprocess(
     """Measure the long set once, and kill workers meanwhile."""
     output = directory / f"{scheduler}.csv"
     output.unlink(missing_ok=True)
-    shutil.rmtree(
-        directory / f".{output.name}.parts", ignore_errors=True
-    )  # of a run that was ended
+    parts_of_an_ended_run = directory / f".{output.name}.parts"
+    shutil.rmtree(parts_of_an_ended_run, ignore_errors=True)
     frames = directory / ("few" if few else "many")
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     begun = time.monotonic()

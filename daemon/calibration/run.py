@@ -20,11 +20,11 @@ from core.images import GreyImage, require_size
 from core.site import CameraGeometry, Site
 from daemon.config.reading import Config
 from daemon.datum.candidates import NewReference
+from daemon.slots.identity import made_by
 from daemon.slots.measuring import row_moment
 from daemon.store.circumstances import KEY, Circumstances
 from daemon.store.database import Store
 from daemon.store.records import CalibrationRecord, DatumRecord, Reading
-from daemon.version import VERSION
 from drivers.errors import FrameSetError
 from drivers.frameset import FrameSet, FrameSetRow, format_slot, read_frame_set
 from drivers.protocols import Role
@@ -147,7 +147,7 @@ def store_run(
         content={**run.calibration.to_dict(), KEY: run.circumstances.to_dict()},
         report=run.report,
         config_hash=config.config_hash(),
-        version=VERSION,
+        version=made_by(),
         frames=str(run.directory),
     )
     return store.add_calibration(record, zero, activate=activate)

@@ -54,7 +54,8 @@ _LOWEST_PRIORITY = 19
     type=click.IntRange(min=1),
     metavar="N",
     help="Also make N rows, chosen at random, once more from their frames: each must come out "
-    "the same to the last bit.",
+    "the same to the last bit. Rows that other numerics made (the version that a row names says "
+    "so) may differ: how many and how far is said.",
 )
 @json_option
 @tz_option
@@ -93,7 +94,8 @@ def command(options: Options, since: datetime | None, rebuild: int | None, *, as
         for line in _what_was_looked_at(counted):
             say(line)
         if rebuilt is not None:
-            say(_what_was_rebuilt(rebuilt))
+            for line in _what_was_rebuilt(rebuilt):
+                say(line)
     return ExitCode.FAILED if findings else ExitCode.DONE
 
 
@@ -109,13 +111,21 @@ def _what_was_looked_at(counted: Counted) -> Iterator[str]:
         yield f"{counted.slots_with_frames_removed} slots without images, removed to make room"
 
 
-def _what_was_rebuilt(rebuilt: Rebuilt) -> str:
-    text = f"{rebuilt.rows} rows made once more from their frames and compared to the last bit"
-    if rebuilt.skipped:
-        text += (
-            f"; {rebuilt.skipped} passed over: of another version or config, or without calibration"
+def _what_was_rebuilt(rebuilt: Rebuilt) -> Iterator[str]:
+    yield f"{rebuilt.rows} rows made once more from their frames and compared to the last bit"
+    if rebuilt.other_rows:
+        text = (
+            f"{rebuilt.other_rows} rows of other numerics (another version of dcam or of its "
+            f"libraries, or another processor) made once more: {rebuilt.other_differing} come out "
+            "otherwise now"
         )
-    return text
+        if rebuilt.other_differing:
+            text += f", by {rebuilt.other_largest_mm:.2g} mm at most"
+        if rebuilt.other_flags:
+            text += f", {rebuilt.other_flags} with another flag or reason"
+        yield text
+    if rebuilt.skipped:
+        yield f"{rebuilt.skipped} rows passed over: of another config, or without calibration"
 
 
 def _rebuild(

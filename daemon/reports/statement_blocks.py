@@ -18,8 +18,8 @@ from daemon.reports.statement import (
     expected_span,
     software_hash,
 )
+from daemon.slots.identity import made_by
 from daemon.store.records import MeasurementRecord
-from daemon.version import VERSION
 
 _AXES = ((0, "x"), (1, "y"))
 _NOT_COVERED = (
@@ -67,7 +67,7 @@ def statement_blocks(
     yield table(
         ("what", "version or number", "SHA-256"),
         (
-            ("software that wrote this report", VERSION, software_hash()),
+            ("software that wrote this report", made_by(), software_hash()),
             (
                 "software that measured the row",
                 statement.record.version,

@@ -19,7 +19,7 @@ import structlog
 from core.site import Site
 from daemon.errors import WorkFailedError
 from daemon.reprocessing.frames import SeenSlot, SlotFrames, see_slot
-from daemon.reprocessing.identity import Identity, own_identity
+from daemon.slots.identity import Identity, own_identity
 from daemon.slots.measuring import ActiveCalibration
 
 CHUNK_SLOTS = 20

@@ -14,9 +14,9 @@ from typing import Any, cast
 
 from daemon.errors import DcamError, HardwareError, UsageError, WorkFailedError
 from daemon.reprocessing.chunks import Chunk, SeenChunk, Work, chunk_key, see_chunk_elsewhere
-from daemon.reprocessing.identity import Identity, own_identity
 from daemon.reprocessing.parts import Parts
 from daemon.reprocessing.remote import EXTRA
+from daemon.slots.identity import Identity, own_identity
 
 _AHEAD = 2
 """Chunks in flight for each thread of the workers: one at work, one that waits. More would only
@@ -33,8 +33,11 @@ _QUIET = {
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "5s",
     "distributed.worker.memory.monitor-interval": "1s",
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
 }
-"""Left to itself dask looks at its workers 10 to 100 times a second: a twentieth of a core."""
+"""Left to itself dask looks at its workers 10 to 100 times a second: a twentieth of a core; and
+tells whoever asks port 8787 of them."""
 
 Tell = Callable[[str], None]
 
@@ -49,6 +52,7 @@ def local_cluster(cores: int) -> Iterator[Any]:
     # Others on this computer must not hand in work: TLS, with keys that only this run has.
     options = {"dashboard_address": None, "silence_logs": logging.CRITICAL, "security": True}
     with (
+        warnings.catch_warnings(action="ignore", category=UserWarning),  # another run has its port
         config.set(_QUIET),
         LocalCluster(n_workers=cores, threads_per_worker=1, host="127.0.0.1", **options) as cluster,
         Client(cluster) as client,
@@ -172,7 +176,7 @@ def _awaited(client: Any, future: Any) -> SeenChunk:
                 continue
         alone_since_s = alone_since_s or time.monotonic()
         if time.monotonic() - alone_since_s > ALONE_S:
-            msg = f"no worker is left since {ALONE_S:.0f} s; start some, and run it again to go on"
+            msg = f"no worker is left since {ALONE_S:g} s; start some, and run it again to go on"
             raise HardwareError(msg)
 
 

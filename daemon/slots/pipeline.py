@@ -21,6 +21,7 @@ from daemon.readings.changes import Changes
 from daemon.readings.sampler import Sampler
 from daemon.retention.guard import DiskGuard
 from daemon.slots.exposure import ExposureLoop
+from daemon.slots.identity import made_by
 from daemon.slots.learner import Learner
 from daemon.slots.measuring import (
     ActiveCalibration,
@@ -37,7 +38,6 @@ from daemon.store.datum import in_record_zero
 from daemon.store.frames.archive import FrameArchive, StoredPair, camera_state
 from daemon.store.records import DatumRecord, GapCause, MeasurementRecord, Reading
 from daemon.times import slot_text
-from daemon.version import VERSION
 from drivers.errors import DeviceError, DeviceLostError, DriverError
 from drivers.protocols import Clock, FramePairSource, Role
 
@@ -145,7 +145,7 @@ def measure_stored(context: SlotContext, slot_utc: datetime) -> MeasurementRecor
         slot_utc=slot_utc,
         measurement=_measure(context, slot_utc, pairs, calibration),
         config_hash=context.config_hash,
-        version=VERSION,
+        version=made_by(),
         calibration_id=calibration.id if calibration else None,
         recorded_late=True,
     )
@@ -176,7 +176,7 @@ def _measure_captured(
         slot_utc=slot_utc,
         measurement=_measure(context, slot_utc, pairs, calibration),
         config_hash=context.config_hash,
-        version=VERSION,
+        version=made_by(),
         calibration_id=calibration.id if calibration else None,
         skew_s=worst_skew_s(pairs),
         main_frame=_in_state(context, stored.main_path) if stored else None,

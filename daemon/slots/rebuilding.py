@@ -6,9 +6,13 @@ import random
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import datetime
+from typing import Any
+
+import numpy as np
 
 from core.errors import CalibrationError
 from core.site import Site
+from daemon.slots.identity import made_by
 from daemon.slots.learner import Learner
 from daemon.slots.measuring import ActiveCalibration, load_pairs
 from daemon.slots.row_history import measure_in_record
@@ -18,7 +22,6 @@ from daemon.store.frames.archive import FrameArchive
 from daemon.store.records import MeasurementRecord
 from daemon.store.verification import Finding, Tell
 from daemon.times import EPOCH, slot_text
-from daemon.version import VERSION
 
 
 @dataclass(slots=True)
@@ -26,8 +29,34 @@ class Rebuilt:
     """How many rows were made once more, and how many could not be."""
 
     rows: int = 0
+    """Made by these numerics (`made_by`): compared to the last bit."""
+    other_rows: int = 0
+    """Made by other numerics: their differences are counted, and are no findings."""
+    other_differing: int = 0
+    other_flags: int = 0
+    """Of these, with another flag or other reasons."""
+    other_largest_mm: float = 0.0
+    """The largest difference of a corrected value among the others."""
     skipped: int = 0
-    """Of another version or config, without frames, or of a calibration that cannot be read."""
+    """Of another config, without frames, or of a calibration that cannot be read."""
+
+    @property
+    def all_rows(self) -> int:
+        """How many were made once more."""
+        return self.rows + self.other_rows
+
+    def add_other(self, stored: MeasurementRecord, made: MeasurementRecord) -> None:
+        """Count a row of other numerics."""
+        self.other_rows += 1
+        if not _differing(stored, made):
+            return
+        self.other_differing += 1
+        before, now = stored.measurement, made.measurement
+        if (before.flag, before.reasons) != (now.flag, now.reasons):
+            self.other_flags += 1
+        if before.corrected is not None and now.corrected is not None:
+            change_mm = now.corrected.mm - before.corrected.mm
+            self.other_largest_mm = max(self.other_largest_mm, float(np.abs(change_mm).max()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,13 +73,14 @@ class Rebuilding:
     ) -> Iterator[Finding]:
         """Rebuild some rows at random, and give those that come out otherwise. Raises StoreError.
 
-        A row of the same version, config, calibration and frames must be the same to the last bit.
+        A row of the same numerics, config, calibration and frames must be the same to the last
+        bit; one of other numerics is counted with its difference.
         """
         slots = self.archive.stored_slots(since or EPOCH)
         random.SystemRandom().shuffle(slots)
         learner = Learner()
         for slot_utc in slots:
-            if counted.rows >= wanted:
+            if counted.all_rows >= wanted:
                 return
             record = self.store.measurement(slot_utc)
             calibration = None if record is None else self._calibration(record)
@@ -58,13 +88,16 @@ class Rebuilding:
                 counted.skipped += 1
                 continue
             again = self._again(record, calibration, learner)
-            counted.rows += 1
-            tell(counted.rows, min(wanted, len(slots)))
-            yield from _differences(record, again)
+            if record.version == made_by():
+                counted.rows += 1
+                yield from _differences(record, again)
+            else:
+                counted.add_other(record, again)
+            tell(counted.all_rows, min(wanted, len(slots)))
 
     def _calibration(self, record: MeasurementRecord) -> ActiveCalibration | None:
         """What the row was measured with, if it can be measured so once more."""
-        if (record.version, record.config_hash) != (VERSION, self.config_hash):
+        if record.config_hash != self.config_hash:
             return None
         if record.calibration_id is None or record.main_frame is None:
             return None
@@ -85,13 +118,21 @@ class Rebuilding:
 
 
 def _differences(record: MeasurementRecord, again: MeasurementRecord) -> Iterator[Finding]:
-    stored, made = (measurement_columns(one) for one in (record, again))
-    names = [name for name in dict.fromkeys((*stored, *made)) if stored.get(name) != made.get(name)]
-    if names:
-        name = "y_mm" if "y_mm" in names else names[0]
+    differing = _differing(record, again)
+    if differing:
+        name = "y_mm" if "y_mm" in differing else next(iter(differing))
+        stored, made = differing[name]
         text = (
-            f"made from its frames once more it differs in {', '.join(names)}: "
-            f"{name} {stored.get(name)} was stored, {made.get(name)} comes out"
+            f"made from its frames once more it differs in {', '.join(differing)}: "
+            f"{name} {stored} was stored, {made} comes out"
         )
-        todo = "other libraries or another processor may round otherwise; else please report it"
+        todo = "code, libraries and type of processor are those that measured it: please report it"
         yield Finding("row", slot_text(record.slot_utc), text, todo)
+
+
+def _differing(record: MeasurementRecord, again: MeasurementRecord) -> dict[str, tuple[Any, Any]]:
+    """The columns that differ: as stored, and as they come out."""
+    stored, made = (measurement_columns(one) for one in (record, again))
+    names = dict.fromkeys((*stored, *made))
+    both = {name: (stored.get(name), made.get(name)) for name in names}
+    return {name: pair for name, pair in both.items() if pair[0] != pair[1]}

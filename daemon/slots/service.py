@@ -24,6 +24,7 @@ from daemon.readings.sampler import open_sampler
 from daemon.retention.guard import DiskGuard
 from daemon.schedule import Schedule
 from daemon.slots.exposure import last_known, loop_of
+from daemon.slots.identity import made_by, made_with
 from daemon.slots.measuring import active_calibration
 from daemon.slots.pipeline import SlotContext
 from daemon.slots.recovery import close_gap, mark_stop, recover
@@ -34,7 +35,6 @@ from daemon.slots.supervision import PROCESS_SPENT, Circuit, ProcessSpentError
 from daemon.store.database import Store
 from daemon.store.frames.archive import FrameArchive
 from daemon.store.records import GapCause
-from daemon.version import VERSION
 from drivers.errors import DriverError
 from drivers.protocols import FramePairSource
 
@@ -85,9 +85,9 @@ class Service:
             self._reporter.recovering()
             self._station.context.disk.make_room(STEPS_AT_START)
             last_utc = recover(self._station.context, self._station.schedule)
-            store.add_event(clock.now_utc(), "started", f"version {VERSION}")
+            store.add_event(clock.now_utc(), "started", f"version {made_by()}: {made_with()}")
             name = self._station.installation.config.name
-            _log.info("started", site=name, version=VERSION, state=str(state))
+            _log.info("started", site=name, version=made_by(), state=str(state))
             handlers = CommandHandlers(capture=self._look, reload=self._requests.reload)
             opened.enter_context(control_socket(state, self._lease, handlers))
             opened.callback(begin_to_close)

@@ -69,7 +69,9 @@ MEANINGS: dict[str, Meaning] = {
     "recorded_late": Meaning("", "whether the row was made from its frames after a restart"),
     "calibration_id": Meaning("", "number of the calibration that it was measured with"),
     "config_hash": Meaning("", "short hash of the config that it was measured with"),
-    "version": Meaning("", "version of dcam that measured"),
+    "version": Meaning(
+        "", "version of dcam that measured; after + a digest of code, libraries and processor"
+    ),
     "sigma_image_x_mm": Meaning(
         "mm", "part of sigma_x_mm that pixels and calibration give; empty in old rows: all of it"
     ),

@@ -98,7 +98,7 @@ class MeasurementRecord:
     measurement: Measurement
     config_hash: str
     version: str
-    """Of the software that measured."""
+    """Of the software that measured, with a digest of its numerics: `daemon.slots.identity`."""
     calibration_id: int | None = None
     """None only when there was no calibration to measure with."""
     skew_s: float | None = None

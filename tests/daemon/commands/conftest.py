@@ -6,13 +6,14 @@ import csv
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.reprocess import PLATE, WHERE
 from core.calibration.calibrate import CalibrationReport
 from core.results import Displacement, Flag, Measurement, Reason, RigMotion
 from daemon.config.reading import load_config
@@ -122,7 +123,7 @@ def edit_table(directory: Path, change: Callable[[list[str]], list[str]]) -> Non
     table.write_text("\n".join(change(table.read_text().splitlines())) + "\n")
 
 
-FURTHER = """
+FURTHER = f"""
 [[target.extra]]
 name = "span-2"
 role = "measured"
@@ -131,21 +132,12 @@ centres_mm = [[-8.0, 7.0], [8.0, 7.0], [-3.0, -7.0], [8.0, -7.0]]
 diameter_mm = 7.0
 distance_mm = 11200.0
 distance_sigma_mm = 20.0
-
-[[target.extra]]
-name = "abutment"
-role = "fixed"
-kind = "circles"
-centres_mm = [[-8.0, 10.0], [8.0, 10.0], [-3.0, -10.0]]
-diameter_mm = 7.0
-distance_mm = 11500.0
-distance_sigma_mm = 20.0
-"""
+{PLATE}"""
 HIDDEN_MIN = ((1.5, 2.5), (170.0, 190.0))
 """Slot 2 of a running dcamd, and the last one of the frame set."""
 PLATES = (
     SimPlate("span-2", offset_mm=(-53.0, 0.0), bridge_factor=0.5),
-    SimPlate("abutment", offset_mm=(53.0, 0.0), hidden_min=HIDDEN_MIN),
+    replace(WHERE, hidden_min=HIDDEN_MIN),
 )
 RUNNING = f"""
 [[simulation.plates]]

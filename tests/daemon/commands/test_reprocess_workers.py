@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import shutil
 import signal
@@ -13,12 +14,16 @@ from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 
+import dask
 import pytest
+import structlog
+from distributed import LocalCluster
 
 from daemon.commands import reprocess as reprocess_command
 from daemon.errors import WorkFailedError
 from daemon.reprocessing import chunks, cluster, running
-from daemon.reprocessing.identity import own_identity
+from daemon.reprocessing.parts import Parts
+from daemon.slots.identity import own_identity
 from drivers.frameset import FrameSetRow, read_frame_set, write_table
 from tests.daemon.commands.conftest import Ctl, rows_of
 from tests.waiting import wait_for
@@ -178,6 +183,47 @@ def test_what_has_changed_since_the_interrupt_is_measured_anew(
         part.write_bytes(part.read_bytes()[:-1])
     assert ctl(*words).code == 0
     assert len(seen) == 4
+
+
+@pytest.fixture
+def workers(monkeypatch: pytest.MonkeyPatch) -> Iterator[LocalCluster]:
+    """A scheduler with one worker, a thread of this process; nobody waits long for others."""
+    monkeypatch.setattr(cluster, "ALONE_S", 0.2)
+    monkeypatch.setattr(cluster, "_LOOK_S", 0.1)
+    logs = structlog.get_config()
+    options = {"processes": False, "dashboard_address": ":0", "silence_logs": logging.CRITICAL}
+    with dask.config.set(cluster._QUIET), LocalCluster(1, threads_per_worker=1, **options) as made:
+        yield made
+    structlog.configure(**logs)
+
+
+@pytest.mark.usefixtures("small_chunks")
+def test_a_run_that_loses_all_its_workers_ends_with_a_line_and_goes_on_later(
+    further: Path, ctl: Ctl, tmp_path: Path, workers: LocalCluster, monkeypatch, seen: list[str]
+) -> None:
+    output, whole = tmp_path / "out.csv", tmp_path / "whole.csv"
+    words = arguments(further, further / "set", output)
+    save = Parts.save
+
+    def last_of_its_worker(parts: Parts, key: str, content: bytes) -> None:
+        save(parts, key, content)
+        workers.scale(0)
+        wait_for(lambda: not workers.scheduler_info["workers"], "the worker's end")
+
+    with monkeypatch.context() as dying:
+        dying.setattr(Parts, "save", last_of_its_worker)
+        ran = ctl(*words, "--scheduler", workers.scheduler_address)
+    assert ran.code == 4
+    (line,) = (line for line in ran.err.splitlines() if "error" in line)
+    assert "no worker is left since 0.2 s; start some, and run it again to go on" in line
+    assert "Traceback" not in ran.err
+    assert not output.exists()
+    ran = ctl(*words)
+    assert ran.code == 0
+    assert "1 chunks of" in ran.err
+    assert len(seen) == 2
+    ctl(*arguments(further, further / "set", whole))
+    assert output.read_bytes() == whole.read_bytes()
 
 
 @pytest.mark.usefixtures("small_chunks")
