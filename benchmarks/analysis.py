@@ -87,7 +87,9 @@ def study_coverage(count: int, first: int) -> Iterator[str]:
         trend = trend_of(times_s, values_mm, np.column_stack([warm, step])).mm_per_year
         near = np.abs(times_s - event_s) < 30.0 * DAY_S
         moved = difference(times_s[near], values_mm[near], event_s, warm[near]).mm
-        drifted_mm = bridge.trend_mm_per_year * 30.0 / 365.25  # half a month on either side
+        after = times_s[near] >= event_s
+        apart_s = times_s[near][after].mean() - times_s[near][~after].mean()
+        drifted_mm = bridge.trend_mm_per_year * apart_s / DAY_S / 365.25
         for name, interval, truth in (
             ("lag", response.lag_h, bridge.lag_h),
             ("mm per kelvin", response.mm_per_unit, bridge.mm_per_kelvin),

@@ -110,8 +110,10 @@ def _temperatures(
     deck = season + weather + 6.0 * sun * np.sin(2.0 * np.pi * (days - 0.35))
     deck += remembering(rng, n + before, 0.5, 60.0)
     if bridge.first_order:
-        left = np.exp(-1.0 / 60.0 / bridge.lag_h)
-        behind = lfilter([1.0 - left], [1.0, -left], deck - deck[0]) + deck[0]
+        step = 1.0 / 60.0 / bridge.lag_h
+        left = np.exp(-step)  # exact for lines from minute to minute
+        now = 1.0 - (1.0 - left) / step
+        behind = lfilter([now, 1.0 - left - now], [1.0, -left], deck - deck[0]) + deck[0]
     else:
         behind = np.interp(hours - bridge.lag_h, hours, deck)
     return deck[before:], behind[before:]

@@ -47,7 +47,7 @@ class Hours:
     count: IntArray
     """(n,) rows that made the mean."""
     fine_s: FloatArray
-    """(m,) middles of the readings' own spans, a regular grid."""
+    """(m,) mean times of the readings' own spans, a regular grid."""
     readings: FloatArray
     """(m, channels) means of all rows; NaN where there is none."""
 
@@ -124,13 +124,25 @@ def hours_of(
 
 
 def _fine(times_s: FloatArray, readings: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Middles (m,) and means (m, channels) of the readings on a regular grid."""
+    """Times (m,) and means (m, channels) of the readings on a regular grid.
+
+    A mean belongs to the mean time of its rows, and that is not the middle of its span: rows of
+    full minutes lie 30 s before it.
+    """
     if not len(times_s):
         return np.empty(0), np.empty((0, readings.shape[1]))
     first = np.floor(times_s[0] / FINE_S)
     edges_s = np.arange(first, np.floor(times_s[-1] / FINE_S) + 2.0) * FINE_S
-    means = [bins_of(times_s, column, edges_s).mean for column in readings.T]
-    return edges_s[:-1] + 0.5 * FINE_S, np.array(means).T.reshape(len(edges_s) - 1, -1)
+    middles_s = edges_s[:-1] + 0.5 * FINE_S
+    fine_s = middles_s + np.nanmedian(bins_of(times_s, times_s, edges_s).mean - middles_s)
+    found = np.full((len(fine_s), readings.shape[1]), np.nan)
+    for channel, column in enumerate(readings.T):
+        means = bins_of(times_s, column, edges_s)
+        there = means.count > 0
+        if there.any():
+            when_s = bins_of(times_s, np.where(np.isfinite(column), times_s, np.nan), edges_s).mean
+            found[there, channel] = np.interp(fine_s[there], when_s[there], means.mean[there])
+    return fine_s, found
 
 
 def _medians(values: FloatArray, bins: IntArray, n: int) -> FloatArray:

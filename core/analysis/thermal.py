@@ -8,17 +8,17 @@ concrete behind an air temperature); the one that explains more is taken.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import StrEnum
 
 import numpy as np
-from scipy.signal import lfilter
 
-from core.analysis.binning import FINE_S, HOUR_S, Hours
+from core.analysis.binning import Hours
 from core.analysis.noise import DAY_S, NoiseFit, gls
+from core.analysis.readings import Lag, Reading, reading_of
 from core.analysis.regression import (
     Fit,
     Interval,
     Mixture,
+    by_blocks,
     hinges,
     independent,
     robust_fit,
@@ -32,28 +32,21 @@ _SHIFTS_H = np.arange(-8.0, 12.5, 0.5)
 """Shifts that are tried."""
 _LAGS_H = np.geomspace(0.25, 96.0, 24)
 """First-order lags that are tried."""
-_BRIDGED_H = 6.0
-"""A gap in a reading up to which it is interpolated. Chosen: a quarter of the daily cycle."""
-_SETTLING_H = 24.0
-"""Hours of a reading, after its beginning and after a longer gap, that only fill the lag. Chosen:
-of a lag of 10 h a tenth of what was before is left."""
+_UNSURE = 0.01
+"""How wrong a reading behind its lag may be for its hour to be used, as a share of its usual change
+within 12 hours. Chosen: of 10 K and 0.25 mm/K that is 0.025 mm, as much as good hours scatter."""
+_SEARCHED = 6.0
+"""First-order lag in hours whose past must be known where lags are sought."""
 _LEAST_KNOWN = 0.5
-"""Share of the hours for which a reading must be known to be used."""
-_WITHIN_S = (np.arange(6) - 2.5) * FINE_S
-"""Where a reading is looked up within an hour."""
-_START = 144
-"""Values of the grid whose mean is what was before the first: a day."""
+"""Share of the hours for which a reading must be known to be used; so many are used at least."""
+_ZOOMS = 4
+"""How often the lags tried close in on the best."""
+_ZOOMED = 9
+"""Lags tried from the second time on."""
 _STEP_H = 0.05
 """For derivatives by the lag."""
 _ROUNDS = 2
 """Of lag and noise in turn; Gauss-Newton steps follow."""
-
-
-class Lag(StrEnum):
-    """How a displacement comes after a reading."""
-
-    SHIFT = "shift"
-    FIRST_ORDER = "first-order"
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,29 +78,6 @@ class Thermal:
     """Standard deviation of what is left about it."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Reading:
-    """A reading on a regular grid, where it is known."""
-
-    grid_s: FloatArray
-    values: FloatArray
-
-    def after(self, times_s: FloatArray, kind: Lag, lag_h: float) -> FloatArray:
-        """(n,) its means, behind a lag, over the hours about these times."""
-        shift_s, lagged = lag_h * HOUR_S, self.values
-        if kind is Lag.FIRST_ORDER:
-            shift_s, step = 0.0, FINE_S / HOUR_S / lag_h
-            left = np.exp(-step)  # exact for lines from one value of the grid to the next
-            now = 1.0 - (1.0 - left) / step
-            start = float(np.mean(self.values[:_START]))
-            weights = [now, 1.0 - left - now], [1.0, -left]
-            lagged = lfilter(*weights, self.values - start) + start
-        means = np.zeros(len(times_s))
-        for offset_s in _WITHIN_S:
-            means += np.interp(times_s + offset_s - shift_s, self.grid_s, lagged)
-        return means / len(_WITHIN_S)
-
-
 def temperature_response(
     hours: Hours,
     channels: tuple[int, ...],
@@ -119,13 +89,14 @@ def temperature_response(
     Columns `beside` (hours, k), such as known steps, are fitted with them.
     A reading that is known in less than half of the hours, or never changes, is passed over.
     """
-    usable, known = _usable(hours, channels)
+    usable = _usable(hours, channels)
     if not usable:
         return None
+    readings = [reading_of(hours, channel) for channel in usable]
+    known = _known(readings, hours.times_s, [(Lag.FIRST_ORDER, _SEARCHED)] * len(usable))
     times_days = hours.times_s[known] / DAY_S
     line = _slow(times_days, None if beside is None else beside[known])
     values_mm = hours.mean_mm[known]
-    readings = [_reading(hours, channel) for channel in usable]
     lags = [(Lag.SHIFT, 0.0)] * len(usable)
     fit: Fit | None = None
     for _ in range(_ROUNDS):
@@ -135,6 +106,8 @@ def temperature_response(
         lags = _better_lags(fit, readings, hours.times_s[known], columns, lags)
         if all(a[0] is b[0] and abs(a[1] - b[1]) < 0.02 for a, b in zip(before, lags, strict=True)):
             break
+    known = _known(readings, hours.times_s, lags)
+    line = _slow(hours.times_s[known] / DAY_S, None if beside is None else beside[known])
     return _judged(hours, known, line, usable, readings, lags, confidence)
 
 
@@ -144,32 +117,33 @@ def _slow(times_days: FloatArray, beside: FloatArray | None) -> FloatArray:
     return line if beside is None else independent(np.column_stack([line, beside]))
 
 
-def _usable(hours: Hours, channels: tuple[int, ...]) -> tuple[list[int], BoolArray]:
-    known = np.ones(len(hours), dtype=np.bool_)
+def _usable(hours: Hours, channels: tuple[int, ...]) -> list[int]:
+    """Those channels that are known in half of the record and change."""
     usable = []
     for channel in channels:
         there = np.isfinite(hours.readings[:, channel])
-        if there.mean() < _LEAST_KNOWN or np.ptp(hours.readings[there, channel]) == 0.0:
-            continue
-        usable.append(channel)
-        places = hours.fine_s[there]
-        begins = places[np.flatnonzero(np.diff(places, prepend=-np.inf) > _BRIDGED_H * HOUR_S)]
-        ends = places[np.flatnonzero(np.diff(places, append=np.inf) > _BRIDGED_H * HOUR_S)]
-        stretch = np.searchsorted(begins, hours.times_s + 0.5 * HOUR_S, side="right") - 1
-        settled_s = begins[stretch] + _SETTLING_H * HOUR_S
-        known &= (stretch >= 0) & (hours.times_s <= ends[stretch] + HOUR_S)
-        known &= hours.times_s >= settled_s
-    return usable, known
+        if there.mean() >= _LEAST_KNOWN and np.ptp(hours.readings[there, channel]) > 0.0:
+            usable.append(channel)
+    return usable
 
 
-def _reading(hours: Hours, channel: int) -> _Reading:
-    there = np.isfinite(hours.readings[:, channel])
-    values = np.interp(hours.fine_s, hours.fine_s[there], hours.readings[there, channel])
-    return _Reading(hours.fine_s, values - float(np.mean(values)))
+def _known(
+    readings: list[Reading], times_s: FloatArray, lags: list[tuple[Lag, float]]
+) -> BoolArray:
+    """(n,) hours for which all readings behind their lags are known well enough.
+
+    What happened in a gap, or before the record, is forgotten only some lags later. Half of the
+    hours stay, the best known, where gaps are many or the lag is long.
+    """
+    unsure = np.max(
+        [one.unsure(times_s, *lag) for one, lag in zip(readings, lags, strict=True)], axis=0
+    )
+    found: BoolArray = unsure <= max(_UNSURE, float(np.quantile(unsure, _LEAST_KNOWN)))
+    return found
 
 
 def _columns(
-    readings: list[_Reading], times_s: FloatArray, lags: list[tuple[Lag, float]]
+    readings: list[Reading], times_s: FloatArray, lags: list[tuple[Lag, float]]
 ) -> FloatArray:
     return np.column_stack(
         [reading.after(times_s, *lag) for reading, lag in zip(readings, lags, strict=True)]
@@ -178,7 +152,7 @@ def _columns(
 
 def _better_lags(
     fit: Fit,
-    readings: list[_Reading],
+    readings: list[Reading],
     times_s: FloatArray,
     columns: FloatArray,
     lags: list[tuple[Lag, float]],
@@ -187,16 +161,29 @@ def _better_lags(
     lags = list(lags)
     for number, reading in enumerate(readings):
         others = _without(fit, columns.shape[1], number)
-        best: tuple[float, Lag, float] | None = None
+        best: dict[Lag, tuple[float, float]] = {}
         for kind, tried_h in ((Lag.SHIFT, _SHIFTS_H), (Lag.FIRST_ORDER, _LAGS_H)):
-            tried = np.column_stack([reading.after(times_s[fit.keep], kind, h) for h in tried_h])
-            size, information = try_columns(others.whitening, others.gls, tried)
-            lag_h, gain = _peak(tried_h, size**2 * information)
-            if best is None or gain > best[0]:
-                best = gain, kind, lag_h
-        if best is not None:
-            lags[number] = best[1], best[2]
+            best[kind] = _closed_in(kind, tried_h, reading, times_s[fit.keep], others)
+        kind = max(best, key=lambda kind: best[kind][1])
+        lags[number] = kind, best[kind][0]
     return lags
+
+
+def _closed_in(
+    kind: Lag, tried_h: FloatArray, reading: Reading, times_s: FloatArray, others: NoiseFit
+) -> tuple[float, float]:
+    """The lag of a kind that explains most, and how much.
+
+    Of a year the peak is some seconds wide: two kinds are compared each at its own.
+    """
+    for _ in range(_ZOOMS):
+        tried = np.column_stack([reading.after(times_s, kind, lag_h) for lag_h in tried_h])
+        size, information = try_columns(others.whitening, others.gls, tried)
+        lag_h, gain = _peak(tried_h, size**2 * information)
+        best = int(np.argmax(size**2 * information))
+        low, high = tried_h[max(best - 1, 0)], tried_h[min(best + 1, len(tried_h) - 1)]
+        tried_h = np.linspace(low, high, _ZOOMED)
+    return lag_h, gain
 
 
 def _without(fit: Fit, columns: int, number: int) -> NoiseFit:
@@ -238,7 +225,7 @@ def _judged(
     known: BoolArray,
     line: FloatArray,
     usable: list[int],
-    readings: list[_Reading],
+    readings: list[Reading],
     lags: list[tuple[Lag, float]],
     confidence: float,
 ) -> Thermal:
@@ -261,18 +248,24 @@ def _judged(
             (kind, _allowed(kind, lag_h + float(step)))
             for (kind, lag_h), step in zip(lags, steps, strict=True)
         ]
-    fit = replace(fit, noise_fit=replace(fit.noise_fit, gls=better))
     design = np.column_stack(
         [line, _columns(readings, times_s, lags), _by_lag(readings, times_s, lags) * sizes]
     )
     keep, p = fit.keep, design.shape[1]
+    better = gls(fit.noise_fit.whitening, design[keep], values_mm[keep])
+    fit = replace(fit, noise_fit=replace(fit.noise_fit, gls=better))
     mixture = Mixture.of(fit.noise_fit, times_days[keep], design[keep], values_mm[keep])
     responses = []
     for number, (channel, (kind, lag_h)) in enumerate(zip(usable, lags, strict=True)):
-        unit = np.eye(p)[[p - count + number, p - 2 * count + number]]
-        left = mixture.interval(unit[0], confidence)  # of the last step
+        left, size = (
+            _wider(
+                mixture.interval(unit, confidence),
+                by_blocks(times_days[keep], design[keep], better, unit, confidence),
+            )
+            for unit in np.eye(p)[[p - count + number, p - 2 * count + number]]
+        )
         lag = Interval(lag_h + left.value, left.sigma, lag_h + left.low, lag_h + left.high)
-        responses.append(Response(channel, kind, lag, mixture.interval(unit[1], confidence)))
+        responses.append(Response(channel, kind, lag, size))  # `left` is that of the last step
     everywhere = _columns(readings, hours.times_s, lags)
     everywhere[~known] = np.nan
     sizes = np.array([response.mm_per_unit.value for response in responses])
@@ -289,12 +282,25 @@ def _judged(
     )
 
 
+def _wider(by_noise: Interval, between_blocks: Interval | None) -> Interval:
+    """The interval after the noise, or as wide as stretches of the record differ if that is more.
+
+    Where the bridge follows a reading otherwise than either kind of lag does, stretches of other
+    weather give other figures; the noise alone does not show that.
+    """
+    if between_blocks is None or between_blocks.sigma <= by_noise.sigma:
+        return by_noise
+    moved = by_noise.value - between_blocks.value
+    low, high = between_blocks.low + moved, between_blocks.high + moved
+    return Interval(by_noise.value, between_blocks.sigma, low, high)
+
+
 def _allowed(kind: Lag, lag_h: float) -> float:
     return max(lag_h, float(_LAGS_H[0])) if kind is Lag.FIRST_ORDER else lag_h
 
 
 def _by_lag(
-    readings: list[_Reading], times_s: FloatArray, lags: list[tuple[Lag, float]]
+    readings: list[Reading], times_s: FloatArray, lags: list[tuple[Lag, float]]
 ) -> FloatArray:
     """(n, readings) derivative by the lag, per hour."""
     later = [(kind, lag_h + _STEP_H) for kind, lag_h in lags]

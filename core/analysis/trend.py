@@ -104,16 +104,20 @@ def difference(
     *,
     confidence: float = 0.95,
 ) -> Difference:
-    """How far the level moved at a known time; a day's cycle and further columns fitted beside it.
+    """The mean level after a known time less that before; further columns (n, k) beside it.
 
-    Raises ValueError where less than three values are on one side.
+    A drift on either side is a part of it, not noise: each side has a line about its own mean.
+    A day's cycle is fitted where both sides show it. Raises ValueError where less than three values
+    are on one side.
     """
     after = times_s >= event_s
     if min(int(after.sum()), int((~after).sum())) < _LEAST_A_SIDE:
         msg = f"fewer than {_LEAST_A_SIDE} values before or after the event"
         raise ValueError(msg)
     times_days = (times_s - times_s[0]) / DAY_S
-    columns = [] if beside is None else [beside - beside.mean(axis=0)]
+    columns = [_about_mean(times_days, side) for side in (~after, after)]
+    if beside is not None:
+        columns.append(beside - beside.mean(axis=0))
     if min(event_s - times_s[0], times_s[-1] - event_s) > 2.0 * DAY_S:
         columns.append(daily(times_s))
     step = after.astype(np.float64)
@@ -132,5 +136,14 @@ def difference(
     )
 
 
+def _about_mean(times_days: FloatArray, side: BoolArray) -> FloatArray:
+    """(n, 1) a line on one side of an event about its own mean; (n, 0) where the side is short."""
+    if np.ptp(times_days[side]) < _LINE_DAYS:
+        return np.empty((len(times_days), 0))
+    return np.where(side, times_days - times_days[side].mean(), 0.0)[:, None]
+
+
+_LINE_DAYS = 5.0
+"""Days of a side of an event from which on it has a line. Chosen."""
 _LEAST_A_SIDE = 3
 """Values on a side of an event below which there is no level."""

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from core.analysis.creep import Creep
+from core.analysis.readings import Lag
 from core.analysis.regression import Interval
 from core.analysis.steps import DRIFT_THRESHOLD, THRESHOLD, Drift, Steps
-from core.analysis.thermal import Lag, Thermal
+from core.analysis.thermal import Thermal
 from core.analysis.trend import Trend
 from daemon.analysis.fields import moment
 from daemon.analysis.record import Channel
