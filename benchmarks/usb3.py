@@ -12,7 +12,9 @@ process's own priority does not count); that needs root.
 
 The cameras show night: the rows say that no target was found, which costs the least time.
 
-`--output FILE` keeps each rig's figures as a line of JSON, and what is there is not run again.
+`--directory DIRECTORY` is where the sites are; one in memory (/dev/shm) leaves the disk, and who
+else waits for it, out of the figures. `--output FILE` keeps each rig's figures as a line of JSON,
+and what is there is not run again.
 """
 
 from __future__ import annotations
@@ -323,15 +325,18 @@ def main() -> None:
     parser.add_argument("--faults", type=int, default=1000, help="of all rigs")
     parser.add_argument("--rigs", type=int, default=3, help="side by side")
     parser.add_argument("--seed", type=int, default=1, help="of the first rig")
+    parser.add_argument("--directory", type=Path, help="for what is removed afterwards")
     parser.add_argument("--output", type=Path, default=Path("usb3.jsonl"))
     options = parser.parse_args()
     done = {line["seed"] for line in _of_kind(options.output, "seed")}
     seeds = range(options.seed, options.seed + options.rigs)
     share = (options.slots // options.rigs, options.faults // options.rigs)
     with all_cores_busy(), ThreadPoolExecutor(options.rigs + 1) as pool:
-        runs = [pool.submit(_rig, seed, *share) for seed in seeds if seed not in done]
+        runs = [
+            pool.submit(_rig, options.directory, seed, *share) for seed in seeds if seed not in done
+        ]
         if not _of_kind(options.output, "idle"):
-            runs.append(pool.submit(_idle))
+            runs.append(pool.submit(_idle, options.directory))
         for run in as_completed(runs):
             _keep(options.output, run.result())
     for line in [*_of_kind(options.output, "idle"), *_of_kind(options.output, "seed")]:
@@ -339,22 +344,22 @@ def main() -> None:
 
 
 @contextmanager
-def _scratch() -> Iterator[Path]:
+def _scratch(parent: Path | None) -> Iterator[Path]:
     # A short name: that of a socket has at most 107 characters.
-    with tempfile.TemporaryDirectory(prefix="dcam-usb3-") as directory:
+    with tempfile.TemporaryDirectory(prefix="dcam-usb3-", dir=parent) as directory:
         yield Path(directory)
 
 
-def _rig(seed: int, n_slots: int, n_faults: int) -> dict[str, object]:
-    with _scratch() as directory:
+def _rig(parent: Path | None, seed: int, n_slots: int, n_faults: int) -> dict[str, object]:
+    with _scratch(parent) as directory:
         outcome = measure_usb3(directory, n_slots, n_faults, seed, directory, unit_niceness())
     figures = {one.name: getattr(outcome, one.name) for one in fields(outcome)}
     del figures["log"]
     return {"seed": seed, **figures}
 
 
-def _idle() -> dict[str, object]:
-    with _scratch() as directory:
+def _idle(parent: Path | None) -> dict[str, object]:
+    with _scratch(parent) as directory:
         return {"idle": measure_idle(directory, directory, unit_niceness())}
 
 

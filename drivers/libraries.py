@@ -10,7 +10,7 @@ from pathlib import Path
 
 from drivers.errors import MissingLibraryError
 
-_NOT_BROUGHT = ("pyarrow",)
+_NOT_BROUGHT = ("pyarrow", "dask")
 """What neither `make install` nor the package brings, for its size."""
 
 
@@ -33,16 +33,21 @@ def missing_library(module: str, what: str, package: str | None = None) -> str:
     if has_library(module):
         return ""
     package = package or module
-    return f"no {what}: {package} is not installed; {_advice(package)}"
+    return f"no {what}: {package} is not installed; {how_to_install(package)}"
 
 
-def _advice(package: str) -> str:
+def how_to_install(package: str, *, extra: str | None = None, there: str = "export") -> str:
+    """What to do in this installation to have a package, or all that an extra of dcam brings.
+
+    `there`: what is left to do on another computer where this installation cannot have it.
+    """
     if _has_own_pip():
-        return f"{sys.executable} -m pip install '{_requirement(package)}'"
+        wanted = f"dcam[{extra}]" if extra else _requirement(package)
+        return f"{sys.executable} -m pip install '{wanted}'"
     if package in _NOT_BROUGHT:
         return (
             "neither make install nor the package brings it: take a copy of the state (dcam-ctl "
-            "backup) to another computer with a clone of dcam, run make venv there, and export"
+            f"backup) to another computer with a clone of dcam, run make venv there, and {there}"
         )
     return "this installation is not complete: install dcam again (make install, or the package)"
 

@@ -27,6 +27,7 @@ def check_usb(config: Config) -> Iterator[Finding]:
     if not cameras:
         return
     yield _memory(config)
+    yield _controllers(cameras, config)
     person = host.whoever_runs_dcamd()
     for camera in cameras:
         yield from _camera(camera, _name(camera, config), person)
@@ -53,6 +54,17 @@ def _memory(config: Config) -> Finding:
         f" to keep it, install 60-dcam.rules and {APPLY_RULES}"
     )
     return unless(limit_mb == 0 or limit_mb >= need_mb, "usb memory", text, cure)
+
+
+def _controllers(cameras: list[UsbCamera], config: Config) -> Finding:
+    """Where each camera is plugged in: a hub or a controller that two share is a first suspect."""
+    places = []
+    for camera in cameras:
+        hubs = camera.port.count(".")
+        through = f" behind {hubs} hub{'s' if hubs > 1 else ''}" if hubs else ""
+        on = camera.controller() or "an unknown controller"
+        places.append(f"{_name(camera, config)} at port {camera.port}{through} of {on}")
+    return Finding("usb ports", "ok", "; ".join(places))
 
 
 def frame_bytes(config: Config, role: str) -> int:

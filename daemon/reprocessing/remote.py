@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from daemon.errors import HardwareError, UsageError, WorkFailedError
+from drivers.libraries import how_to_install
 
-EXTRA = "pip install 'dcam[dask]'"
+EXTRA = how_to_install("dask", extra="dask", there="reprocess a copy of the frames")
 """What brings dask and fsspec."""
 
 

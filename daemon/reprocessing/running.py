@@ -58,7 +58,7 @@ def _chosen(scheduler: str | None, count: int, tell: Callable[[str], None]) -> s
         tell("measuring on one core: there is no other")
         return SERIAL
     if not has_dask:
-        tell(f"measuring on one core of {cluster.cores()}: for all of them {EXTRA}")
+        tell(f"measuring on one core of {cluster.cores()}; dask would use all: {EXTRA}")
         return SERIAL
     return LOCAL
 

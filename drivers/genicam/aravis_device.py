@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -78,8 +78,8 @@ def is_refusal(error: Any) -> bool:
     return error.domain != "arv-device-error-quark" or error.code in refusals
 
 
-def find_device(aravis: Any, serial: str) -> str:
-    """Look for a camera on USB and on every network interface; give Aravis' name for it.
+def find_device(aravis: Any, serial: str) -> tuple[str, str]:
+    """Look for a camera on USB and on every network interface; give Aravis' name and number of it.
 
     Raises DeviceLostError, with what was found instead.
     """
@@ -90,19 +90,26 @@ def find_device(aravis: Any, serial: str) -> str:
     ]
     matches = [found[i] for i in places_of(serial, [number for number, _, _ in found])]
     if len(matches) == 1:
-        return str(matches[0][1])
+        number, device_id, _ = matches[0]
+        return str(device_id), str(number)
     if matches:
         names = ", ".join(f"{number} at {address}" for number, _, address in matches)
         msg = f"camera {serial}: {len(matches)} cameras have this serial number: {names}"
         raise DeviceLostError(msg)
+    msg = f"camera {as_on_usb(serial)}: {_why_not_found(serial, found)}"
+    raise DeviceLostError(msg)
+
+
+def _why_not_found(serial: str, found: Sequence[tuple[str, str, str]]) -> str:
+    if why := why_not_on_usb(serial):
+        return why
     others = ", ".join(
         sorted(f"{as_on_label(number)} at {address}" for number, _, address in found)
     )
-    msg = (
-        f"camera {as_on_usb(serial)}: not found; there is {others or 'no camera at all'}."
-        f" {why_not_on_usb(serial) or 'Check power, cable and the serial number in the config'}"
+    return (
+        f"not found; there is {others or 'no camera at all'}."
+        " Check power, cable and the serial number in the config"
     )
-    raise DeviceLostError(msg)
 
 
 def buffers_for(frame_bytes: int, *, on_usb: bool) -> int:
@@ -160,6 +167,7 @@ class AravisDevice:
         """The buffer of the last frame; see `pop`."""
         self._on_usb = self._stopped = False
         self._payload_code = 0
+        self.listed_serial = ""
 
     @property
     def features(self) -> AravisFeatures:
@@ -186,7 +194,8 @@ class AravisDevice:
                 msg = f"camera {self._serial}: discovery hangs in Aravis"
                 raise DeviceLostError(msg)
             try:
-                self._camera = self._opened(find_device(self._aravis, self._serial))
+                device_id, self.listed_serial = find_device(self._aravis, self._serial)
+                self._camera = self._opened(device_id)
             finally:
                 _discovery.release()
             self._on_usb = self._camera.is_uv_device()

@@ -101,6 +101,11 @@ class Device(Protocol):
         ...
 
     @property
+    def listed_serial(self) -> str:
+        """Its serial number in the library's list, once it is open: on USB in another spelling."""
+        ...
+
+    @property
     def is_lost(self) -> bool:
         """Whether the library has noticed by itself that the device is gone."""
         ...

@@ -29,6 +29,7 @@ from drivers.genicam.device import (
     Value,
 )
 from drivers.genicam.gentl_listing import Listed, find_entries, read_list
+from drivers.libraries import how_to_install
 from drivers.protocols import CameraSettings
 
 _log = structlog.get_logger("dcam.drivers")
@@ -46,7 +47,7 @@ def load_harvesters() -> tuple[Any, Any, Any]:
         from genicam import genapi, gentl
         from harvesters import core
     except ImportError as error:
-        msg = f"harvesters cannot be loaded ({error}); install it with: pip install harvesters"
+        msg = f"harvesters cannot be loaded ({error}); {how_to_install('harvesters')}"
         raise MissingLibraryError(msg) from error
     return core, genapi, gentl
 
@@ -62,6 +63,7 @@ class GentlDevice:
         self._acquirer: Any = None
         self._format = ""
         self._torn = 0
+        self.listed_serial = ""
         self._complaints = _Complaints()
 
     @property
@@ -160,6 +162,7 @@ class GentlDevice:
             except self._gentl.GenericException as error:
                 failures.append(_first_line(error))
             else:
+                self.listed_serial = entry.serial
                 if len(entries) > 1:
                     others = [other.device_id for other in entries if other is not entry]
                     what = {"opened": entry.device_id, "others": others}

@@ -24,6 +24,7 @@ from drivers.genicam.device import (
     NoAnswerError,
     NodeRefusedError,
 )
+from drivers.genicam.identity import read_identity
 from drivers.genicam.setup import Applied, apply_settings, change_exposure, read_temperature_c
 from drivers.protocols import CameraSettings, CapturedFrame, Image
 
@@ -60,6 +61,9 @@ class Session:
         """Find the device, become its controller, set it up and start acquisition."""
         with self._connection("open"):
             self._device.open()
+            said = read_identity(self._device.features)
+            listed = self._device.listed_serial
+            _log.info("camera_identity", serial=self._serial, listed=listed, said=said)
             self._applied = apply_settings(self._device.features, self._serial, self._settings)
             self._device.open_stream(self._settings)
             self._start_acquisition()

@@ -35,6 +35,21 @@ class UsbCamera:
         """Give the file of an attribute."""
         return self.directory / name
 
+    @property
+    def port(self) -> str:
+        """Its place on the bus, as `2-1.3`: bus 2, port 3 of the hub at port 1."""
+        return self.directory.name
+
+    def controller(self) -> str:
+        """What it hangs on, as `xhci_hcd 0000:00:14.0 (8086:a36d)`; empty where nothing tells."""
+        for above in self.directory.resolve().parents:
+            vendor, device = (_text(above / name) for name in ("vendor", "device"))
+            if vendor and device:
+                driver = (above / "driver").resolve().name if (above / "driver").exists() else ""
+                pci = f"{vendor.removeprefix('0x')}:{device.removeprefix('0x')}"
+                return f"{driver} {above.name} ({pci})".strip()
+        return ""
+
     def has_serial(self, serial: str | None) -> bool:
         """Tell whether it is the camera of a config."""
         return serial is not None and is_same_serial(serial, self.serial)
@@ -60,8 +75,8 @@ def why_not_on_usb(serial: str) -> str | None:
     for camera in usb_cameras():
         if camera.has_serial(serial) and not os.access(camera.node, os.R_OK | os.W_OK):
             return (
-                f"It is plugged in ({camera.product} {as_on_label(camera.serial)}), but may not"
-                f" be opened ({camera.node}): install 60-dcam.rules and {APPLY_RULES}; dcam-ctl"
+                f"plugged in ({camera.product} {as_on_label(camera.serial)}), but may not be"
+                f" opened ({camera.node}): install 60-dcam.rules and {APPLY_RULES}; dcam-ctl"
                 " check --hardware says more"
             )
     return None

@@ -67,6 +67,24 @@ def test_an_environment_with_pip_is_given_a_command_that_pip_takes() -> None:
     assert Requirement(command[2]) == Requirement(wanted)
 
 
+def test_a_camera_library_that_does_not_load_is_advised_on_for_this_installation(
+    installed: Path,
+) -> None:
+    """`harvesters` comes with dcam, so that one without it is not whole; pip is not there."""
+    ask = (
+        "import sys; sys.modules['genicam'] = None\n"
+        "from drivers.genicam.gentl_device import load_harvesters\n"
+        "load_harvesters()"
+    )
+    path = os.pathsep.join([str(ROOT), sysconfig.get_path("purelib")])
+    environment = os.environ | {"PYTHONPATH": path}
+    command = [installed, "-c", ask]
+    said = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    last = said.stderr.splitlines()[-1]
+    assert "harvesters cannot be loaded (import of genicam halted" in last
+    assert last.endswith("install dcam again (make install, or the package)")
+
+
 def test_what_is_there_is_not_missed() -> None:
     require_library("numpy", "number")
     with pytest.raises(MissingLibraryError, match="no chart: no_such_library is not installed"):

@@ -153,6 +153,28 @@ def test_usb_cameras_in_order(check, computer: Computer) -> None:
     assert found["usb memory"][0] == "ok"
 
 
+def test_where_usb_cameras_are_plugged_in_is_reported(check, computer: Computer) -> None:
+    """As the kernel has it: the bus lists links into the tree of devices."""
+    controller = "sys/devices/pci0000:00/0000:00:14.0"
+    computer.says(f"{controller}/vendor", "0x8086")
+    computer.says(f"{controller}/device", "0xa36d")
+    driver = computer.root / "sys/bus/pci/drivers/xhci_hcd"
+    driver.mkdir(parents=True)
+    (computer.root / controller / "driver").symlink_to(driver)
+    for name, serial, device in (("2-1.3", "15290000", 3), ("2-2", "00E94E91", 4)):
+        listed = computer.root / computer.plug_in(name, serial, device=device)
+        real_place = computer.root / controller / "usb2" / name
+        real_place.parent.mkdir(exist_ok=True)
+        listed.rename(real_place)
+        listed.symlink_to(real_place)
+    _, found = check(real())
+    on = "xhci_hcd 0000:00:14.0 (8086:a36d)"
+    assert found["usb ports"] == (
+        "ok",
+        f"main usb at port 2-1.3 behind 1 hub of {on}; sub usb at port 2-2 of {on}",
+    )
+
+
 def test_usb_memory_of_the_kernel_is_too_small_for_two_cameras(check, computer: Computer) -> None:
     """640 x 400 px are small; 16 MB are too few for full-size images, and 0 is no limit."""
     full = real().replace("width_px = 640\nheight_px = 400", "width_px = 1920\nheight_px = 1200")

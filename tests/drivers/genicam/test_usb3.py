@@ -231,7 +231,8 @@ def test_a_camera_that_may_not_be_opened_is_named_with_the_cure(
     monkeypatch.setattr("drivers.genicam.usb_bus.ROOT", tmp_path)
     monkeypatch.setattr(os, "access", lambda path, _mode: Path(path) != node)
     process.command("fault denied")
-    with pytest.raises(DeviceLostError, match=r"may not be opened .*002/003.*60-dcam\.rules"):
+    says = r"15290000 .*: plugged in .*, but may not be opened .*002/003.*60-dcam\.rules"
+    with pytest.raises(DeviceLostError, match=says):
         AravisCamera(MAIN, SETTINGS).open()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import functools
 import hashlib
@@ -70,7 +71,15 @@ def require_bus() -> Path:
         with pytest.raises(NoBusError) as error:
             library()
         pytest.skip(f"USB3 cameras: {error.value}")
-    return Path(os.environ.setdefault(BUS, tempfile.mkdtemp(prefix="dcam-usb-")))
+    return Path(os.environ.get(BUS) or _new_bus())
+
+
+def _new_bus() -> str:
+    """Make the directory that is the bus; it goes with the process that made it."""
+    directory = tempfile.mkdtemp(prefix="dcam-usb-")
+    atexit.register(shutil.rmtree, directory, ignore_errors=True)
+    os.environ[BUS] = directory
+    return directory
 
 
 def environment() -> dict[str, str]:
