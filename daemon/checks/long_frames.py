@@ -65,8 +65,8 @@ def camera_clock(name: str, frames: Sequence[Shown]) -> Finding:
     odd = max(abs(camera - ours) for camera, ours in steps)
     unsure = 2.0 * odd / ours_s if ours_s else 0.0  # our own times may be late by odd at both ends
     text = f"{round(1e6 * rate):+d} ppm beside ours over {ours_s:.0f} s, {1e3 * odd:.1f} ms at most"
-    state = "ok" if abs(rate) < ODD_RATE + unsure else "warning"
-    return Finding(name, state, f"{text}; no jump; {tick}")
+    is_odd = abs(rate) >= ODD_RATE + unsure
+    return Finding(name, "warning" if is_odd else "ok", f"{text}; no jump; {tick}")
 
 
 def _tick(frames: Sequence[Shown]) -> str:

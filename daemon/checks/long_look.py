@@ -28,6 +28,7 @@ from daemon.checks.long_frames import (
     shown,
 )
 from daemon.config.reading import Config, Installation
+from daemon.config.site import CameraSection
 from daemon.devices import open_clock, open_pair_source
 from daemon.errors import DcamError
 from daemon.lock import sole_writer
@@ -114,7 +115,7 @@ def _take_deep(config: Config, clock: Clock, look: _Look) -> None:
     if config.camera.main.backend not in {"aravis", "harvesters"}:
         look.deep = "not a real camera"
         return
-    deep = {
+    deep: dict[str, CameraSection] = {
         role: config.camera.of(role).model_copy(update={"pixel_format": DEEP}) for role in ROLES
     }
     changed = config.model_copy(update={"camera": config.camera.model_copy(update=deep)})
