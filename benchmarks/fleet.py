@@ -45,16 +45,18 @@ _PIERS_A_SECOND = 167
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.fleet", description=__doc__)
-    parser.add_argument("--rows", type=int, default=200_000, help="of all long records together")
+    parser.add_argument("--rows", type=int, default=200_000, help="of all long records; 0: none")
     parser.add_argument("--sites", type=int, default=10, help="with long records, in parallel")
     parser.add_argument("--cuts", type=int, default=20)
     parser.add_argument("--piers", type=int, default=10_000, help="with a row a minute")
     parser.add_argument("--seconds", type=int, default=600, help="of the many piers")
+    parser.add_argument("--minutes", type=int, default=5, help="from sync to sync of a pier")
     options = parser.parse_args()
     server = Server("shared_buffers=128MB", "max_connections=60")
     try:
-        long_records(server, options.rows, options.sites, options.cuts)
-        many_piers(server, options.piers, options.seconds)
+        if options.rows:
+            long_records(server, options.rows, options.sites, options.cuts)
+        many_piers(server, options.piers, options.seconds, options.minutes)
     finally:
         server.remove()
 
@@ -130,8 +132,8 @@ def _size(central: Central) -> int:
         return int(connection.scalar(text(query)) or 0)
 
 
-def many_piers(server: Server, piers: int, seconds: int) -> None:
-    """Very many piers with a row a minute each; each row is a transaction of its own."""
+def many_piers(server: Server, piers: int, seconds: int, minutes: int) -> None:
+    """Very many piers with a row a minute each; what a pier has is a transaction of its own."""
     central = _new(server, "many_piers")
     with tempfile.TemporaryDirectory() as scratch:
         fill(Path(scratch), 10)
@@ -153,8 +155,8 @@ def many_piers(server: Server, piers: int, seconds: int) -> None:
     ]
     with central.transaction() as there:
         there.execute(insert(SITE), sites)
-    numbers = [site.id for site in read_sites(central)]
-    total = seconds * _PIERS_A_SECOND
+    sites_there = [site.id for site in read_sites(central)]
+    total = seconds * _PIERS_A_SECOND // minutes
     turns, lock, late_s = iter(range(total)), threading.Lock(), [0.0]
     begin_s = time.monotonic()
 
@@ -165,16 +167,15 @@ def many_piers(server: Server, piers: int, seconds: int) -> None:
                 turn = next(turns, None)
             if turn is None:
                 break
-            due_s = begin_s + turn / _PIERS_A_SECOND
+            due_s = begin_s + turn * minutes / _PIERS_A_SECOND
             time.sleep(max(0.0, due_s - time.monotonic()))
-            minute, pier = divmod(turn, piers)
-            slot = slot_text(_BEGIN + timedelta(minutes=minute))
+            visit, pier = divmod(turn, piers)
+            numbers = range(visit * minutes, (visit + 1) * minutes)
             with own.transaction() as connection:
-                one = {**row, "id": minute + 1, "slot_utc": slot, "redated_from_utc": None}
-                write_rows(connection, numbers[pier], [one])
+                write_rows(connection, sites_there[pier], [_minute(row, one) for one in numbers])
                 connection.execute(
                     text("UPDATE site SET heard_utc = now(), progress = :at WHERE id = :site"),
-                    {"at": f'{{"row_id": {minute}}}', "site": numbers[pier]},
+                    {"at": f'{{"row_id": {numbers[-1]}}}', "site": sites_there[pier]},
                 )
             late_s[0] = max(late_s[0], time.monotonic() - due_s)
         own.close()
@@ -184,13 +185,21 @@ def many_piers(server: Server, piers: int, seconds: int) -> None:
     took_s = time.monotonic() - begin_s
     with central.transaction() as there:
         count = there.scalar(text("SELECT count(*) FROM measurement"))
-    begin_s = time.monotonic()
-    found = judge_fleet(read_sites(central), 1800.0)
-    status_s = time.monotonic() - begin_s
-    print(f"{piers} piers, {total} rows in {took_s:.0f} s, {total / took_s:.0f} rows/s")
-    print(f"  rows there, each once: {count} of {total}; latest row {late_s[0]:.1f} s late")
-    print(f"  status of {len(found)} sites in {status_s:.2f} s", flush=True)
+    rows = total * minutes
+    print(f"{piers} piers, {rows} rows in {took_s:.0f} s, {rows / took_s:.0f} rows/s")
+    print(f"  rows there, each once: {count} of {rows}; latest sync {late_s[0]:.1f} s late")
+    for _ in range(3):
+        begin_s, begin_cpu_s = time.monotonic(), time.process_time()
+        found = judge_fleet(read_sites(central), 1800.0)
+        status_s, cpu_s = time.monotonic() - begin_s, time.process_time() - begin_cpu_s
+        print(f"  status of {len(found)} sites in {status_s:.2f} s, {cpu_s:.2f} s of processor")
     central.close()
+
+
+def _minute(row: dict[str, Any], minute: int) -> dict[str, Any]:
+    """A row of its own minute."""
+    slot = slot_text(_BEGIN + timedelta(minutes=minute))
+    return {**row, "id": minute + 1, "slot_utc": slot, "redated_from_utc": None}
 
 
 if __name__ == "__main__":

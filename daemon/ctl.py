@@ -36,6 +36,7 @@ COMMANDS = {
     "export": "Write measurements as a table.",
     "send": "Pass rows on to MQTT and InfluxDB, each once.",
     "sync": "Copy the record to the central database of many piers.",
+    "archive": "Write closed months of many piers as Parquet.",
     "analyse": "Days, temperature, trend, steps and creep, with confidence.",
     "plot": "Draw a figure of the record, PNG or SVG.",
     "report": "Write the record of a span for the client, HTML or PDF.",

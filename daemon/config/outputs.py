@@ -90,6 +90,7 @@ class FleetSection(Section):
     url: str | None = Field(default=None, min_length=1)
     password_file: Directory | None = None
     silent_min: float = Field(default=30.0, gt=0)
+    archive: str | None = Field(default=None, min_length=1)
 
     def problems(self) -> list[str]:
         """Name values that cannot be used."""

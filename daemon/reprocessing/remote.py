@@ -44,6 +44,15 @@ class RemotePath:
             raise _unanswered(self.url, error) from error
         return content
 
+    def write_bytes(self, content: bytes) -> None:
+        """Write the file as a whole. Raises StorageError, UsageError."""
+        files, path = _opened(self.url)
+        try:
+            files.makedirs(path.rpartition("/")[0], exist_ok=True)
+            files.pipe_file(path, content)
+        except Exception as error:  # as above
+            raise _unanswered(self.url, error) from error
+
     def glob(self, pattern: str) -> list[RemotePath]:
         """What matches below it, in order. Raises StorageError, UsageError."""
         files, path = _opened(self.url)
@@ -64,7 +73,7 @@ def _opened(url: str) -> tuple[Any, str]:
     try:
         from fsspec.core import url_to_fs
     except ImportError:
-        msg = f"{url}: frames at a URL need fsspec: {EXTRA}"
+        msg = f"{url}: a URL needs fsspec: {EXTRA}"
         raise WorkFailedError(msg) from None
     try:
         files, path = url_to_fs(url)
