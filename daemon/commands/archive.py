@@ -46,6 +46,11 @@ def command(options: Options, place: str | None, since: datetime | None) -> None
     require_library("pyarrow", "Parquet")
     with opened(settings) as central, progress(None, "writing months") as steps:
         done = write_archive(central, place, since or _FIRST, steps.at)
+    for part in done.fewer:
+        note(
+            f"{part}: fewer rows are there now than were written: its file stays; to have it "
+            "written from what is there, remove its line in written/"
+        )
     size = f", {done.size / done.rows:.0f} bytes a row" if done.rows else ""
     note(
         f"{done.months} months of sites written with {done.rows} rows{size}; "

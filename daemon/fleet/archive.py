@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from itertools import groupby
 from pathlib import Path
@@ -39,6 +39,8 @@ class Archived:
     """Bytes of the months."""
     kept: int = 0
     """Months that were there already."""
+    fewer: list[str] = field(default_factory=list)
+    """Months that now have fewer rows than were written: their files stay."""
     small: int = 0
     """Tables of datums, gaps and ledgers that were new or had changed."""
 
@@ -80,6 +82,9 @@ def _write_month(
     made_from = [LAYOUT, month.rows, month.digest]
     if written.get(part) == made_from:
         done.kept += 1
+        return
+    if month.rows < written.get(part, made_from)[1]:  # a month that was taken out, with a late row
+        done.fewer.append(part)
         return
     content = parquet_of_rows(month_rows(central, month), month.site)
     _write(root / part / "rows.parquet", content)

@@ -14,8 +14,10 @@ import fsspec
 import numpy as np
 import pytest
 from moto.server import ThreadedMotoServer
+from sqlalchemy import text
 
 from daemon.fleet.month_file import MOTION_PAIRS, RELATIVE_BITS, STEPS_BITS
+from daemon.store.central.connecting import connect_central
 from daemon.store.columns import read_columns
 from daemon.store.database import ALWAYS, NEVER, open_store
 from daemon.store.ledger import LedgerEntry, LedgerKind
@@ -85,12 +87,12 @@ def files(bucket: Any, table: str = "measurement") -> dict[str, bytes]:
     return {path.removeprefix("bridges/dcam/"): bucket.cat_file(path) for path in found}
 
 
-def query(bucket: Any, text: str) -> list[dict[str, Any]]:
+def query(bucket: Any, words: str) -> list[dict[str, Any]]:
     """What DuckDB reads; its own access to S3 is an extension that it would fetch."""
     with duckdb.connect() as connection:
         connection.execute("SET TimeZone = 'UTC'")
         connection.register_filesystem(bucket)
-        found = connection.execute(text)
+        found = connection.execute(words)
         names = [column[0] for column in found.description]
         return [dict(zip(names, row, strict=True)) for row in found.fetchall()]
 
@@ -167,4 +169,14 @@ def test_closed_months_in_s3_are_the_databases_rows(
     minutes(state, range(-2, -1), 1)
     sync(url, state, "pier / 1")
     assert "1 months of sites written with 11 rows" in ctl(capsys, *archive)[2]
+    assert len(query(bucket, QUERY)) == 11
+
+    # A month that was taken out of PostgreSQL stays, also when a late row comes.
+    database = connect_central(url, None)
+    with database.transaction() as connection:
+        connection.execute(text("DROP TABLE measurement_2026_03"))
+    database.close()
+    minutes(state, range(-4, -3), 1)
+    sync(url, state, "pier / 1")
+    assert "its file stays" in ctl(capsys, *archive)[2]
     assert len(query(bucket, QUERY)) == 11
