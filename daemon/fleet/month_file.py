@@ -137,12 +137,14 @@ def rounded(name: str, values: FloatArray) -> FloatArray:
     if any(word in key for word in _RELATIVE):
         return _relative(values, RELATIVE_BITS)
     bits = STEPS_BITS[key.rpartition("_")[2]]
-    return np.ldexp(np.round(np.ldexp(values, bits)), -bits)
+    steps: FloatArray = np.ldexp(np.round(np.ldexp(values, bits)), -bits)
+    return steps
 
 
 def _relative(values: FloatArray, bits: int) -> FloatArray:
     mantissa, exponent = np.frexp(values)
-    return np.ldexp(np.round(np.ldexp(mantissa, bits)), exponent - bits)
+    kept: FloatArray = np.ldexp(np.round(np.ldexp(mantissa, bits)), exponent - bits)
+    return kept
 
 
 def _motion(texts: Sequence[str | None]) -> Any:
