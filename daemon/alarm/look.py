@@ -8,7 +8,7 @@ knows, and it is sent once more, with the same number and words that say so.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 
@@ -29,7 +29,7 @@ from daemon.alarm.rules import (
     without_attempt,
 )
 from daemon.alarm.values import Verdict, judge_values
-from daemon.alarm.wrong import Wrong, level_of, of_calibration_age, of_status
+from daemon.alarm.wrong import Wrong, level_of, of_calibration_age, of_status, warned_of
 from daemon.config.alarm import AlarmSection, ValueAlarm
 from daemon.config.model import Config
 from daemon.error_report import lines_of
@@ -60,6 +60,8 @@ class Found:
     whole: bool
     """Whether everything could be looked at."""
     verdicts: list[Verdict] = field(default_factory=list)
+    warned: dict[str, str] = field(default_factory=dict)
+    """What `status` warns of and is not sent."""
 
     @property
     def unknown(self) -> set[str]:
@@ -82,7 +84,8 @@ def find_wrong(place: Place, memory: Memory, now_utc: datetime) -> Found:
     settings = place.settings
     try:
         facts = collect_facts(place.config, place.state, now_utc)
-        wrong = of_status(judge(facts), settings) + of_calibration_age(facts, settings)
+        items = judge(facts)
+        wrong = of_status(items, settings) + of_calibration_age(facts, settings)
     except Exception as error:  # noqa: BLE001 - whatever hides how the site is must be sent
         return Found([_of_error(error)], whole=False)
     try:
@@ -92,7 +95,8 @@ def find_wrong(place: Place, memory: Memory, now_utc: datetime) -> Found:
         why = "; ".join(lines_of(error))
         said = f"the values cannot be judged: {why}; dcam-ctl verify"
         return Found([*wrong, Wrong("alarms", Level.CRITICAL, said)], whole=False)
-    return Found([*wrong, *(v.wrong for v in verdicts if v.wrong)], whole=True, verdicts=verdicts)
+    wrong += [verdict.wrong for verdict in verdicts if verdict.wrong]
+    return Found(wrong, whole=True, verdicts=verdicts, warned=warned_of(items, settings))
 
 
 def look(
@@ -122,11 +126,12 @@ def look(
         note_history(place.state, happened)
     kept = _keep(place.state, kept, memory, outcomes)
     for receiver in everyone:
-        message = due(memory, receiver.key, orders, settings, now_utc)
+        message = due(memory, receiver.key, orders, settings, now_utc, warned=found.warned)
         if message is None:
             continue
         words = text(
             *(memory, message, found.wrong, orders, now_utc),
+            warned=found.warned,
             again=memory.sending.get(receiver.key) == message.id,
         )
         memory = with_attempt(memory, receiver.key, message)
@@ -161,7 +166,7 @@ def _confirmed(
             said[name] = answer.text
             answers.append(one)
     left = [one for one in found.wrong if one.name not in held]
-    return Found(left, found.whole, answers), held, said
+    return replace(found, wrong=left, verdicts=answers), held, said
 
 
 def _tell(

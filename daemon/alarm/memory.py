@@ -20,11 +20,14 @@ class Raised(BaseModel):
     id: str
     """Of this time: the next one of the same name has another."""
     level: Level
+    """The worst of late: a lower one counts once it has lasted as long as an alarm must."""
     text: str
     """As it was when it was raised, or changed its level."""
     at_utc: AwareDatetime
     confirmation: str = ""
     """What a second measurement said."""
+    milder_since_utc: AwareDatetime | None = None
+    """Since when it has been less bad than its level."""
 
 
 class Sent(BaseModel):

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import secrets
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from enum import Enum
+from types import MappingProxyType
 
 from daemon.alarm.history import Happened
 from daemon.alarm.memory import Memory, Raised, Sent
@@ -24,6 +25,7 @@ class News(Enum):
     RAISED = ""
     REPEATED = "still "
     CLEARED = "cleared"
+    EASED = "less bad"
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,13 +40,15 @@ class Message:
     fresh: tuple[str, ...]
     """Of these, what the receiver does not know yet."""
     cleared: tuple[str, ...]
+    eased: tuple[str, ...]
+    """Of the listed, what is less bad than the receiver knows."""
     all_well: bool
-    """Nothing is wrong any more."""
+    """Nothing is wrong any more; of what was cleared not even a warning is left."""
 
     @property
     def names(self) -> str:
         """Of the alarms that it is about, for the history."""
-        about = [*self.fresh, *self.cleared] or list(self.listed)
+        about = [*self.fresh, *self.cleared, *self.eased] or list(self.listed)
         return ", ".join(about)
 
 
@@ -75,8 +79,7 @@ def seen(
     for name, one in now.items():
         known = raised.get(name)
         if known is not None:
-            if known.level is not one.level:
-                raised[name] = known.model_copy(update={"level": one.level, "text": one.text})
+            raised[name] = _seen_again(known, one, now_utc, after)
         elif one.at_once or now_utc - since[name] >= after:
             number = secrets.token_hex(4)
             raised[name] = Raised(id=number, level=one.level, text=one.text, at_utc=now_utc)
@@ -86,6 +89,21 @@ def seen(
         if receiver in receivers
     }
     return memory.model_copy(update={"since": since, "raised": raised, "sent": sent})
+
+
+def _seen_again(known: Raised, one: Wrong, now_utc: datetime, after: timedelta) -> Raised:
+    """A raised alarm at another look: worse at once, less bad when that has lasted.
+
+    A figure that goes to and fro across a limit is so one change, not one at each look.
+    """
+    milder_since_utc = None
+    if one.level < known.level:
+        milder_since_utc = min(known.milder_since_utc or now_utc, now_utc)
+    changed: dict[str, object] = {"milder_since_utc": milder_since_utc}
+    lasted = milder_since_utc is not None and now_utc - milder_since_utc >= after
+    if one.level > known.level or lasted:
+        changed = {"level": one.level, "text": one.text, "milder_since_utc": None}
+    return known.model_copy(update=changed)
 
 
 def changes(before: Memory, after: Memory, now_utc: datetime) -> list[Happened]:
@@ -107,9 +125,18 @@ def changes(before: Memory, after: Memory, now_utc: datetime) -> list[Happened]:
 
 
 def due(
-    memory: Memory, receiver: str, orders: Orders, settings: AlarmSection, now_utc: datetime
+    memory: Memory,
+    receiver: str,
+    orders: Orders,
+    settings: AlarmSection,
+    now_utc: datetime,
+    *,
+    warned: Collection[str] = (),
 ) -> Message | None:
-    """Tell what a receiver must hear now; `memory` has seen what is wrong."""
+    """Tell what a receiver must hear now; `memory` has seen what is wrong.
+
+    `warned` names what `status` warns of and is not sent.
+    """
     sent = memory.sent.get(receiver)
     known = sent.levels if sent else {}
     listed = {
@@ -124,10 +151,13 @@ def due(
         for name in known
         if name not in memory.raised and orders.silence_of(name, now_utc) is None
     )
+    eased = tuple(n for n, one in open_.items() if one.level < known.get(n, Level.OK))
     if fresh:
         news = News.RAISED
     elif cleared:
         news = News.CLEARED
+    elif eased:
+        news = News.EASED
     elif sent and open_ and now_utc - sent.at_utc >= timedelta(hours=settings.repeat_h):
         news = News.REPEATED
     else:
@@ -135,10 +165,10 @@ def due(
     shown = listed if news is not News.CLEARED else {}
     began = utc_text(sent.at_utc) if sent else ""
     ids = sorted(f"{one.id}{one.level}" for one in shown.values())
-    said = "\0".join([receiver, news.name, began, *ids, *fresh, *cleared])
+    said = "\0".join([receiver, news.name, began, *ids, *fresh, *cleared, *eased])
     number = hashlib.sha256(said.encode()).hexdigest()[:8]
-    all_well = not memory.since and not memory.raised
-    return Message(news, number, listed, fresh, cleared, all_well)
+    all_well = not memory.since and not memory.raised and not {*cleared} & {*warned}
+    return Message(news, number, listed, fresh, cleared, eased, all_well)
 
 
 def with_sent(memory: Memory, receiver: str, message: Message, now_utc: datetime) -> Memory:
@@ -171,6 +201,8 @@ def title(message: Message, site: str) -> str:
     if message.news is News.CLEARED:
         said = "all well again" if message.all_well else f"cleared {', '.join(message.cleared)}"
         return f"dcam {site}: {said}"
+    if message.news is News.EASED:
+        return f"dcam {site}: {', '.join(message.eased)} no longer critical"
     level = max(one.level for one in message.listed.values())
     return f"dcam {site}: {message.news.value}{level.name}"
 
@@ -182,14 +214,20 @@ def text(
     orders: Orders,
     now_utc: datetime,
     *,
+    warned: Mapping[str, str] = MappingProxyType({}),
     again: bool,
 ) -> str:
-    """What is wrong, since when, and what to do about it; what is over; how to tell a copy."""
+    """What is wrong, since when, and what to do about it; what is over; how to tell a copy.
+
+    `warned` says of what is not sent what `status` warns of.
+    """
     now = {one.name: one.text for one in found}
     lines = []
     if message.news is News.CLEARED and message.all_well:
         lines.append(f"Nothing is wrong any more, {since_text(now_utc)}.")
-    lines += [f"{name}: cleared, {since_text(now_utc)}" for name in message.cleared]
+    for name in message.cleared:
+        left = f"; still a warning: {warned[name]}" if name in warned else ""
+        lines.append(f"{name}: cleared, {since_text(now_utc)}{left}")
     for name, one in message.listed.items():
         since = memory.since.get(name, one.at_utc).replace(microsecond=0)
         lasted = span_text((now_utc - since).total_seconds())
@@ -197,6 +235,8 @@ def text(
         ack = orders.ack_of(name, one)
         known = f" (acknowledged by {ack.by})" if ack else ""
         level = one.level.name.lower()
+        if name in message.eased:
+            level = f"no longer critical, {level}"
         lines.append(f"{name}: {level} since {utc_text(since)} ({lasted}){known}: {said}")
     doubt = ", sent before perhaps: dcam ended while it was sent" if again else ""
     return "\n".join([*lines, f"(message {message.id}{doubt})"])

@@ -40,6 +40,13 @@ def of_status(items: Sequence[Item], settings: AlarmSection) -> list[Wrong]:
     ]
 
 
+def warned_of(items: Sequence[Item], settings: AlarmSection) -> dict[str, str]:
+    """What `status` warns of and is not sent: texts by name."""
+    sent = {one.name for one in of_status(items, settings)}
+    warnings = {alarm_name(one.name): one.text for one in items if one.level is Level.WARNING}
+    return {name: said for name, said in warnings.items() if name not in sent}
+
+
 def of_calibration_age(facts: Facts, settings: AlarmSection) -> list[Wrong]:
     """A calibration that is older than the site wants it."""
     limit_days, record = settings.calibration_age_days, facts.calibration

@@ -5,12 +5,13 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from tests.daemon.alarm.conftest import WebServer, configure, words
-from tests.daemon.commands.conftest import Site
+from tests.daemon.alarm.conftest import WebServer, configure, history, look, words
+from tests.daemon.commands.conftest import MINUTE, Site
 
 DCAM_CTL = str(Path(sys.executable).with_name("dcam-ctl"))
 
@@ -67,6 +68,76 @@ def test_a_disk_that_fills_is_raised_once_and_cleared(
     assert is_refused or "MB of 241 MB free" in raised
     assert "free some space" in raised
     assert cleared.startswith("disk: cleared")
+
+
+LOW_MB, SCARCE_MB, PLENTY_MB = 100, 500, 1_000_000
+"""Free: critical, a warning, in order."""
+
+
+@pytest.fixture
+def free_mb(site: Site, monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+    """Have the disk say that so much is free."""
+    real = shutil.disk_usage(site.state)
+
+    def say(free: int) -> None:
+        figures = real._replace(free=free * 10**6)
+        monkeypatch.setattr(shutil, "disk_usage", lambda _path: figures)
+
+    return say
+
+
+def test_a_disk_that_is_no_longer_critical_is_sent_so_and_when_it_is_critical_again(
+    site: Site, web: WebServer, free_mb: Callable[[int], None]
+) -> None:
+    configure(site, f'urls = ["{web.url}"]\nafter_min = 0')
+    for free in (LOW_MB, SCARCE_MB, SCARCE_MB, LOW_MB, SCARCE_MB, PLENTY_MB):
+        free_mb(free)
+        assert look(site).code == 0
+    raised, eased, again, eased_again, cleared = lines_of(web, "disk")
+    assert raised.startswith("disk: critical since")
+    assert eased.startswith("disk: no longer critical, warning since")
+    assert "500 MB" in eased
+    assert again.startswith("disk: critical since")
+    assert eased_again.startswith("disk: no longer critical")
+    assert cleared.startswith("disk: cleared")
+    assert web.titles()[1] == "dcam bench: disk no longer critical"
+    kinds = [one["kind"] for one in history(site) if one["name"] == "disk"]
+    assert [kind for kind in kinds if kind != "sent"] == ["raised", *3 * ["changed"], "cleared"]
+
+
+def test_a_disk_to_and_fro_across_a_limit_is_sent_once_until_it_has_stayed(
+    site: Site, web: WebServer, free_mb: Callable[[int], None]
+) -> None:
+    configure(site, f'urls = ["{web.url}"]')
+    for minute in (0, 16, 17, 18, 19):
+        free_mb(SCARCE_MB if minute % 2 else LOW_MB)
+        look(site, late=minute * MINUTE)
+    for minute in (20, 35):
+        assert changed_levels(site) == []
+        free_mb(SCARCE_MB)
+        look(site, late=minute * MINUTE)
+    assert changed_levels(site) == ["warning"]
+    assert "".join(web.texts()).count("disk: no longer critical") == 1
+
+
+def test_what_is_cleared_but_still_a_warning_says_so(
+    site: Site, web: WebServer, free_mb: Callable[[int], None]
+) -> None:
+    """Where a site does not want warnings of its disk."""
+    configure(site, f'urls = ["{web.url}"]\nafter_min = 0\nwarnings = []')
+    for free in (LOW_MB, SCARCE_MB):
+        free_mb(free)
+        look(site)
+    _, cleared = lines_of(web, "disk")
+    assert "disk: cleared" in cleared
+    assert "still a warning: " in cleared
+    assert "500 MB" in cleared
+    assert web.titles()[1] == "dcam bench: cleared disk"
+
+
+def changed_levels(site: Site) -> list[str]:
+    happened = [(one["name"], one["kind"], one["level"]) for one in history(site)]
+    return [level for name, kind, level in happened if (name, kind) == ("disk", "changed")]
 
 
 def with_other_figures(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
