@@ -32,12 +32,20 @@ PATIENCE_MS = 120_000
 
 _WATCH = """
   window.whenReady = (selector, since) => new Promise((done, fail) => {
-    const look = () => document.querySelector("[data-state=failed]")
-      ? fail(new Error(document.body.innerText)) : document.querySelector(selector)
-      ? requestAnimationFrame(() => done(performance.now() - since)) : requestAnimationFrame(look);
+    const look = () => {
+      const failed = document.querySelector("[data-state=failed]");
+      if (!failed && !document.querySelector(selector)) return;
+      watching.disconnect();
+      if (failed) fail(new Error(document.body.innerText));
+      else requestAnimationFrame(() => done(performance.now() - since));
+    };
+    const watching = new MutationObserver(look);
+    const noted = { attributes: true, attributeFilter: ["data-state", "data-image"] };
+    watching.observe(document, { subtree: true, childList: true, ...noted });
     look();
   });
 """
+"""Looking in each frame would take a part of what is measured."""
 _READY = "#figure[data-state=ready]"
 _FRAMES = "dialog:has([data-frame=main][data-image=ready]):has([data-frame=sub][data-image=ready])"
 _WHEEL = """

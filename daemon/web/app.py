@@ -44,8 +44,8 @@ from daemon.web.worker import Worker, WorkerError
 HERE = Path(__file__).parent
 THREADS = 4
 """For questions to the database: more would only take memory."""
-FRAMES_DEADLINE_S = 60.0
-"""For one look; the first one may have loops to compile."""
+FRAMES_DEADLINE_S = 180.0
+"""For one look; the first one may have loops to compile, on a slow or busy computer."""
 _PAGES = ("days", "analysis", "calibrations", "events", "aim")
 _WIDTHS = (0, 160, 320, 960)
 

@@ -1,5 +1,6 @@
 // The days as a filmstrip.
 
+import { followBuilding } from "./building.js";
 import { el, epoch, fill, fixed, getJson, iso, percent, svg, t, table } from "./page.js";
 
 const node = document.getElementById("days");
@@ -36,21 +37,26 @@ const dayTable = (days) => {
   return el("details", {}, el("summary", {}, t("table_of", { title: t("title_days") })), table(t("title_days"), columns, rows));
 };
 
+let [first, last, shown] = [0, 0, 0];
+
 const show = (until) => fill(node, async () => {
-  const { days } = await getJson("/api/days", { since: iso(until - DAYS * DAY_S), until: iso(until) });
+  shown = until;
+  const since = until - DAYS * DAY_S;
+  const { days } = await getJson("/api/days", { since: iso(since), until: iso(until) });
   const there = days.filter((day) => day.y_mm?.min !== null && day.y_mm?.min !== undefined);
   const low = Math.min(...there.map((day) => day.y_mm.min));
   const high = Math.max(...there.map((day) => day.y_mm.max));
   const newest = [...days].sort((a, b) => b.day.localeCompare(a.day));
+  const step = (name, by, there) => el("button", { type: "button", disabled: !there, onclick: () => show(until + by * DAYS * DAY_S) }, t(name));
   node.replaceChildren(
     days.length ? el("ul", { class: "film" }, newest.map((day) => card(day, low, high))) : el("p", {}, t("no_days")),
-    el("p", {}, el("button", { type: "button", onclick: () => show(until - DAYS * DAY_S) }, t("older"))),
+    el("p", { class: "buttons" }, step("newer", 1, until <= last), step("older", -1, first < since)),
     dayTable(newest));
 });
 
-const begin = async () => {
-  const overview = await getJson("/api/overview");
-  const last = epoch(overview.span?.last) ?? epoch(overview.now);
-  show(Math.floor(last / DAY_S + 1) * DAY_S);
-};
-fill(node, begin);
+fill(node, async () => {
+  const site = await getJson("/api/site");
+  [first, last] = [site.span?.first, site.span?.last].map((time) => epoch(time ?? site.now));
+  await show(Math.floor(last / DAY_S + 1) * DAY_S);
+  if (site.building !== null) followBuilding(document.getElementById("building"), site.building, () => show(shown));
+});

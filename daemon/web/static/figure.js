@@ -2,14 +2,14 @@
 
 import { el, epoch, getJson, iso, recall, remember, t, timeText } from "./page.js";
 import { listen } from "./gestures.js";
+import { forgetColours } from "./lines.js";
 import { AXIS_PX, Panel } from "./panel.js";
-import { LANES, readSpans, spansAt, spanText, together } from "./spans.js";
+import { laneRows, readSpans, spansAt } from "./spans.js";
 
 const SHORTEST_S = 60;
 const LONGEST_S = 11 * 366 * 86400;
 const SETTLE_MS = 60;
 const PRESETS = [["1h", 3600], ["24h", 86400], ["7d", 604800], ["30d", 30 * 86400], ["1y", 365 * 86400], ["all", null]];
-const NEAR_PX = 9;
 
 /** The figures that an overview's points and readings allow. */
 export const panelSpecs = (overview, point) => {
@@ -46,23 +46,26 @@ export const panelSpecs = (overview, point) => {
 const DEFAULT_PANELS = ["y", "single_y", "closure", "temperature"];
 
 export class RecordFigure {
-  constructor(node, overview, openSlot) {
+  /** `chart` is a promise of uPlot: the values are asked for while it loads. */
+  constructor(node, overview, openSlot, chart) {
     this.node = node;
     this.overview = overview;
     this.openSlot = openSlot;
+    this.chart = chart;
     this.first = epoch(overview.span?.first) ?? epoch(overview.now) - 3600;
     this.last = epoch(overview.span?.last) ?? epoch(overview.now);
     this.point = "main";
     this.index = null;
     this.spans = [];
     this.marks = [];
-    this.makeTools();
+    this.panels = [];
+    this.width = node.clientWidth;
     this.chosen = new Set((recall("panels", null)?.split(" ") ?? DEFAULT_PANELS));
-    const [since, until] = this.fromAddress() ?? [this.last - 7 * 86400, this.last + 60];
-    this.since = since;
-    this.until = until;
-    this.makePanels();
-    addEventListener("resize", () => this.resized());
+    [this.since, this.until] = this.fromAddress() ?? [this.last - 7 * 86400, this.last + 60];
+    this.choosePanels();
+    this.makeTools();
+    this.placePanels();
+    new ResizeObserver(() => this.resized()).observe(this.panelBox);
     addEventListener("hashchange", () => {
       const asked = this.fromAddress();
       if (asked && (asked[0] !== Math.round(this.since) || asked[1] !== Math.round(this.until))) this.go(...asked);
@@ -108,27 +111,32 @@ export class RecordFigure {
       el("details", { class: "help" }, el("summary", {}, t("help")), el("p", { id: "figure-help" }, t("figure_help"))));
   }
 
-  makePanels() {
-    const specs = panelSpecs(this.overview, this.point);
-    this.choices.replaceChildren(...specs.map((spec) => el("label", {},
+  /** Make the panels that are chosen, but for those that are there; ask for what they show. */
+  choosePanels() {
+    this.specs = panelSpecs(this.overview, this.point);
+    const there = new Map(this.panels.map((panel) => [panel.spec.id, panel]));
+    const hooks = { started: (panel) => this.listen(panel), pointed: (panel, u) => this.pointed(panel, u) };
+    this.panels = this.specs.filter(({ id }) => this.chosen.has(id)).map((spec) => there.get(spec.id) ?? new Panel(spec, hooks));
+    for (const panel of there.values()) if (!this.panels.includes(panel)) panel.u?.destroy();
+    for (const panel of this.panels) panel.lay(this.reference, this.marks);
+    this.again();
+  }
+
+  placePanels() {
+    this.choices.replaceChildren(...this.specs.map((spec) => el("label", {},
       el("input", { type: "checkbox", checked: this.chosen.has(spec.id), onchange: (event) => this.choosePanel(spec.id, event.target.checked) }),
       spec.title)));
-    for (const panel of this.panels ?? []) panel.u.destroy();
-    this.panels = specs.filter(({ id }) => this.chosen.has(id)).map((spec) => new Panel(spec));
-    for (const panel of this.panels) panel.lay(this.reference, this.marks);
     this.panelBox.replaceChildren(...this.panels.map((panel) => panel.node));
-    this.answer = null;
-    this.go(this.since, this.until); // the server works while the figures are made
-    for (const panel of this.panels) {
-      panel.start({ setCursor: [(u) => this.pointed(panel, u)] });
-      listen(panel.u.over, {
-        zoom: (factor, share) => this.zoom(factor, share),
-        pan: (share) => this.pan(share),
-        show: (from, to) => this.showSelection(from, to),
-        pick: (from, to) => this.pick(from, to),
-        click: (x, y) => this.clicked(panel, x, y),
-      });
-    }
+  }
+
+  listen(panel) {
+    listen(panel.u.over, {
+      zoom: (factor, share) => this.zoom(factor, share),
+      pan: (share) => this.pan(share),
+      show: (from, to) => this.showSelection(from, to),
+      pick: (from, to) => this.pick(from, to),
+      click: (x, y) => this.clicked(panel, x, y),
+    });
   }
 
   /** Lay a reference over the values: marks of /api/comparison. */
@@ -144,19 +152,16 @@ export class RecordFigure {
     if (wanted) this.chosen.add(id);
     else this.chosen.delete(id);
     remember("panels", [...this.chosen].join(" "));
-    this.makePanels();
-    this.choices.querySelectorAll("input").forEach((input) => {
-      if (input.checked === wanted && input.parentNode.textContent === this.titleOf(id)) input.focus();
-    });
-  }
-
-  titleOf(id) {
-    return panelSpecs(this.overview, this.point).find((spec) => spec.id === id)?.title;
+    this.choosePanels();
+    this.panelBox.replaceChildren(...this.panels.map((panel) => panel.node));
   }
 
   choosePoint(name) {
     this.point = name;
-    this.makePanels();
+    for (const { u } of this.panels) u?.destroy();
+    this.panels = [];
+    this.choosePanels();
+    this.placePanels();
   }
 
   // Which span is shown
@@ -196,7 +201,7 @@ export class RecordFigure {
   }
 
   showSelection(from, to) {
-    for (const { u } of this.panels) {
+    for (const { u } of this.drawn) {
       const width = u.over.clientWidth;
       const [left, right] = from === null ? [0, 0] : [Math.min(from, to) * width, Math.max(from, to) * width];
       u.setSelect({ left, width: right - left, top: 0, height: u.over.clientHeight }, false);
@@ -211,17 +216,27 @@ export class RecordFigure {
     this.until = middle + span / 2;
     this.node.dataset.state = "loading";
     delete this.node.dataset.settled;
-    this.frame ??= requestAnimationFrame(() => this.draw());
+    if (this.drawn.length) this.frame ??= requestAnimationFrame(() => this.draw());
     clearTimeout(this.timer);
     if (this.isCovered()) this.settle();
     else if (this.idle ?? true) this.asking = this.ask();
     else this.timer = setTimeout(() => this.ask(), SETTLE_MS);
   }
 
+  /** Ask again for what is shown: there may be more of it. */
+  again() {
+    this.answer = null;
+    this.go(this.since, this.until);
+  }
+
   draw() {
     this.frame = null;
-    for (const panel of this.panels) panel.move(this.since, this.until);
-    this.drawLanes();
+    for (const panel of this.panels) panel.move(this.since, this.until, this.width);
+    queueMicrotask(() => this.drawLanes()); // uPlot lays a new drawing out in a microtask
+  }
+
+  get drawn() {
+    return this.panels.filter(({ u }) => u);
   }
 
   /** Bucket width for one bucket a pixel. */
@@ -230,7 +245,7 @@ export class RecordFigure {
   }
 
   widthPx() {
-    return Math.max(100, this.panelBox.clientWidth - AXIS_PX - 10);
+    return Math.max(100, this.width - AXIS_PX - 10);
   }
 
   isCovered() {
@@ -253,6 +268,7 @@ export class RecordFigure {
       const [answer, spans] = await Promise.all([
         getJson("/api/series", { quantities: quantities.join(","), ...window, buckets: Math.round(2 * this.widthPx()) }, signal),
         getJson("/api/spans", { ...window, resolution: Math.max(1, Math.round(this.wantedS())) }, signal),
+        this.chart,
       ]);
       this.answer = answer;
       this.asked = asked;
@@ -286,47 +302,33 @@ export class RecordFigure {
   }
 
   renew() {
-    for (const { u } of this.panels) u.redraw(false, true);
+    for (const panel of this.panels) panel.redraw();
     this.settle();
     this.drawLanes();
   }
 
   redraw() {
+    forgetColours();
     for (const panel of this.panels) panel.redraw();
   }
 
   resized() {
-    for (const panel of this.panels) panel.resize();
+    if (this.width === this.panelBox.clientWidth) return;
+    this.width = this.panelBox.clientWidth;
+    for (const panel of this.panels) panel.resize(this.width);
     this.go(this.since, this.until);
   }
 
   // Gaps, flags, ledger, events as a row of buttons above the figures
 
   drawLanes() {
-    const [over] = this.panels.map(({ u }) => u.over);
-    if (!over) return this.lanes.replaceChildren();
-    const box = this.lanes.getBoundingClientRect();
-    const place = over.getBoundingClientRect();
+    const [first] = this.drawn;
+    if (!first) return this.lanes.replaceChildren();
+    const left = this.lanes.getBoundingClientRect().left;
+    const place = first.u.over.getBoundingClientRect();
     const focused = document.activeElement?.dataset?.key;
-    const share = (time) => (Math.min(Math.max(time, this.since), this.until) - this.since) / (this.until - this.since);
-    const near = (NEAR_PX * (this.until - this.since)) / place.width;
-    const rows = LANES.map((lane) => {
-      const marks = together(this.spans, lane, this.since, this.until, near).map((span) => {
-        const mark = el("button", {
-          type: "button", class: `mark mark-${span.kind}`, "aria-label": spanText(span), title: spanText(span), "data-key": `${lane}${span.start}`,
-          onfocus: () => this.tell(spanText(span)), onmouseenter: () => this.tell(spanText(span)),
-          onclick: () => this.zoomTo(span),
-        });
-        mark.style.left = `${100 * share(span.start)}%`;
-        mark.style.width = `${100 * (share(span.end) - share(span.start))}%`;
-        return mark;
-      });
-      const track = el("div", { class: "track" }, marks);
-      track.style.marginLeft = `${place.left - box.left}px`;
-      track.style.width = `${place.width}px`;
-      return el("div", { class: "lane", role: "group", "aria-label": t(`lane_${lane}`) }, el("span", { class: "lane-name" }, t(`lane_${lane}`)), track);
-    });
-    this.lanes.replaceChildren(...rows);
+    const tell = (text) => this.tell(text);
+    this.lanes.replaceChildren(...laneRows(this.spans, this.since, this.until, place.left - left, place.width, tell, (span) => this.zoomTo(span)));
     if (focused) this.lanes.querySelector(`[data-key="${focused}"]`)?.focus({ preventScroll: true });
   }
 

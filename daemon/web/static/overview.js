@@ -2,7 +2,6 @@
 
 import { below, duration, el, getJson, percent, t, table, timeElement, withSigma, flagElement } from "./page.js";
 import { RecordFigure } from "./figure.js";
-import { showSlot, slotKeys } from "./slot_view.js";
 
 const state = document.getElementById("state");
 const figureNode = document.getElementById("figure");
@@ -11,10 +10,12 @@ const dialog = document.getElementById("slot-dialog");
 // A slot over the figures
 
 const view = el("section", {});
+const slotView = () => import("./slot_view.js"); // not needed for the first figure
 dialog.append(el("button", { type: "button", class: "close", onclick: () => dialog.close() }, t("close")), view);
-dialog.addEventListener("keydown", slotKeys(view));
+dialog.addEventListener("keydown", async (event) => (await slotView()).slotKeys(view)(event));
 dialog.addEventListener("click", (event) => { if (event.target === dialog) dialog.close(); });
-const openSlot = (slot) => {
+const openSlot = async (slot) => {
+  const { showSlot } = await slotView();
   if (!dialog.open) dialog.showModal();
   return showSlot(view, slot, openSlot);
 };
@@ -91,6 +92,11 @@ const refresh = async () => {
 
 // The figure goes first: the verdict, and a reference that takes seconds, wait for its values.
 
+const followed = async (figure, share) => {
+  const { followBuilding } = await import("./building.js");
+  followBuilding(document.getElementById("building"), share, () => figure.again());
+};
+
 const showReference = async (figure) => {
   try {
     const { reference, marks } = await getJson("/api/comparison");
@@ -100,11 +106,18 @@ const showReference = async (figure) => {
   }
 };
 
+/** uPlot, whose script comes after this one: values are asked for before it is read. */
+const chart = new Promise((done, fail) => {
+  const script = document.getElementById("chart");
+  script.addEventListener("load", done);
+  script.addEventListener("error", () => fail(new Error(t("no_chart"))));
+});
+
 try {
   const site = JSON.parse(document.getElementById("begin").textContent) ?? await getJson("/api/site");
-  if (!window.uPlot) throw new Error(t("no_chart"));
-  const figure = new RecordFigure(figureNode, site, openSlot);
+  const figure = new RecordFigure(figureNode, site, openSlot, chart);
   await figure.asking;
+  if (site.building !== null) followed(figure, site.building);
   if (site.reference) showReference(figure);
 } catch (error) {
   below(figureNode, el("p", { class: "notice" }, t("failed", { text: error.message })));

@@ -1,12 +1,10 @@
-// One figure: lines of one unit over time, drawn by uPlot. Of each bucket the whole extent is drawn,
-// from its least to its greatest value, so that no peak is lost.
+// One figure: lines of one unit over time. uPlot keeps scales, axes and cursor.
 
+import { SIGMAS, clipped, colour, drawLine } from "./lines.js";
 import { duration, el, fixed, t, table, timeText, withSigma, zone } from "./page.js";
 
-export const SIGMAS = 2;
 export const AXIS_PX = 62;
 const TABLE_LINES = 200;
-const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 /** min, max, mean, sigma of a line as arrays, whether the answer has buckets or single rows. */
 const readLine = (line, answer) => {
@@ -34,8 +32,10 @@ const usualStep = (times, spanS) => {
 };
 
 export class Panel {
-  constructor(spec) {
+  /** Hooks: `started(panel)` once it can be pointed at, `pointed(panel, u)` whenever it is. */
+  constructor(spec, hooks) {
     this.spec = spec;
+    this.hooks = hooks;
     this.since = 0;
     this.until = 1;
     this.spans = [];
@@ -60,18 +60,17 @@ export class Panel {
     return this.spec.lines[k].hue ?? k;
   }
 
-  /** Make the drawing; the node is in the page. */
-  start(hooks) {
-    const size = this.size();
+  /** Make the drawing, with the values that are there; the node is in the page. */
+  start(width) {
     const grid = { stroke: () => colour("--grid"), width: 1 };
     const axis = { stroke: () => colour("--ink-soft"), font: "12px system-ui, sans-serif", grid, ticks: grid };
     this.u = new uPlot({
-      ...size,
+      width, height: this.height,
       legend: { show: false },
       tzDate: (seconds) => uPlot.tzDate(new Date(1000 * seconds), zone()),
       cursor: { sync: { key: "record" }, drag: { x: false, y: false, setScale: false }, points: { size: 6 }, y: false },
       select: { show: true },
-      scales: { x: { time: true }, y: { range: () => this.extent() } },
+      scales: { x: { time: true, min: this.since, max: this.until }, y: { range: () => this.extent() } },
       axes: [
         { ...axis, space: 70, values: TIME_LABELS },
         { ...axis, size: AXIS_PX, space: 34, values: (_, ticks) => numbersOf(ticks) },
@@ -79,26 +78,32 @@ export class Panel {
       series: [{}, ...this.spec.lines.map((line, k) => ({
         label: line.label,
         stroke: () => colour(`--line-${this.hue(k)}`),
-        fill: () => colour(`--band-${this.hue(k)}`),
-        width: 1.25,
-        paths: (u, _, first, last) => this.path(u, k, first, last),
+        paths: () => null, // lines.js draws it
         points: { show: (u, index, first, last) => (last - first) * 7 < u.over.clientWidth, size: 4 },
       }))],
-      hooks: { drawClear: [(u) => this.shade(u)], draw: [(u) => this.drawMarks(u)], ...hooks },
-    }, [[], ...this.spec.lines.map(() => [])], this.plot);
+      hooks: {
+        drawClear: [(u) => this.shade(u)], drawSeries: [(u, k) => this.drawLine(u, k - 1)],
+        draw: [(u) => this.drawMarks(u)], setCursor: [(u) => this.hooks.pointed(this, u)],
+      },
+    }, this.data(), this.plot);
     this.u.over.classList.add("over");
+    this.hooks.started(this);
   }
 
-  size() {
-    return { width: Math.max(240, this.plot.clientWidth), height: this.spec.height ?? 170 };
+  get height() {
+    return this.spec.height ?? 170;
   }
 
-  resize() {
-    this.u.setSize(this.size());
+  data() {
+    return [this.times, ...this.lines.map((line) => line.mean)];
+  }
+
+  resize(width) {
+    this.u?.setSize({ width, height: this.height });
   }
 
   redraw() {
-    this.u.redraw(false, true);
+    this.u?.redraw(false, true);
   }
 
   /** Show an answer of /api/series. */
@@ -109,7 +114,7 @@ export class Panel {
     this.step = usualStep(this.times, answer.span_s);
     this.lines = this.spec.lines.map((line) => readLine(line, answer));
     this.spans = spans;
-    this.u.setData([this.times, ...this.lines.map((line) => line.mean)], false);
+    this.u?.setData(this.data(), false);
   }
 
   /** Take those marks of a reference that are of its quantities. */
@@ -127,33 +132,28 @@ export class Panel {
 
   /** A reference: a diamond at each value, a bar over its expanded uncertainty. */
   drawMarks(u) {
-    const { ctx, bbox } = u;
     const size = 5 * devicePixelRatio;
-    ctx.save();
-    ctx.beginPath();
-    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
-    ctx.clip();
-    ctx.strokeStyle = ctx.fillStyle = colour("--ink");
-    ctx.lineWidth = 1.5 * devicePixelRatio;
-    ctx.beginPath();
-    for (const { time, value, half } of this.markedInWindow()) {
-      const [x, y] = [u.valToPos(time, "x", true), u.valToPos(value, "y", true)];
-      ctx.moveTo(x, u.valToPos(value - half, "y", true));
-      ctx.lineTo(x, u.valToPos(value + half, "y", true));
-      ctx.moveTo(x - size, y);
-      for (const [dx, dy] of [[0, -size], [size, 0], [0, size], [-size, 0]]) ctx.lineTo(x + dx, y + dy);
-    }
-    ctx.stroke();
-    ctx.restore();
+    clipped(u, (ctx) => {
+      ctx.strokeStyle = colour("--ink");
+      ctx.lineWidth = 1.5 * devicePixelRatio;
+      ctx.beginPath();
+      for (const { time, value, half } of this.markedInWindow()) {
+        const [x, y] = [u.valToPos(time, "x", true), u.valToPos(value, "y", true)];
+        ctx.moveTo(x, u.valToPos(value - half, "y", true));
+        ctx.lineTo(x, u.valToPos(value + half, "y", true));
+        ctx.moveTo(x - size, y);
+        for (const [dx, dy] of [[0, -size], [size, 0], [0, size], [-size, 0]]) ctx.lineTo(x + dx, y + dy);
+      }
+      ctx.stroke();
+    });
   }
 
-  /** Show a part of it. */
-  move(since, until) {
+  /** Show a part of it; the first time the drawing is made, in this width. */
+  move(since, until, width) {
     this.since = since;
     this.until = until;
-    this.u.batch(() => {
-      this.u.setScale("x", { min: since, max: until });
-    });
+    if (this.u) this.u.batch(() => this.u.setScale("x", { min: since, max: until }));
+    else this.start(width);
   }
 
   /** Indices of the values in the window, with one more to each side, or as many as asked. */
@@ -198,67 +198,27 @@ export class Panel {
     return [low - pad, high + pad];
   }
 
-  /** The extents as one stroke; the band of the uncertainty as a fill. */
-  path(u, k, first, last) {
-    const { min, max, mean, sigma } = this.lines[k];
-    const stroke = new Path2D();
-    const fill = sigma ? new Path2D() : null;
-    const x = (time) => u.valToPos(time, "x", true);
-    const y = (value) => u.valToPos(value, "y", true);
-    let run = [];
-    const close = () => {
-      if (run.length === 1) {
-        stroke.moveTo(run[0].x - 1, run[0].high);
-        stroke.lineTo(run[0].x + 1, run[0].high);
-      }
-      if (fill && run.length) {
-        const wide = run.length === 1 ? 1 : 0;
-        run.forEach((at, n) => (n ? fill.lineTo(at.x, at.top) : fill.moveTo(at.x - wide, at.top)));
-        if (wide) fill.lineTo(run[0].x + wide, run[0].top);
-        for (const at of run.toReversed()) fill.lineTo(at.x + wide, at.bottom);
-        if (wide) fill.lineTo(run[0].x - wide, run[0].bottom);
-        fill.closePath();
-      }
-      run = [];
-    };
-    const end = Math.min(last + 1, this.times.length - 1);
-    for (let n = Math.max(0, first - 1); n <= end; n += 1) {
-      if (mean[n] === null || mean[n] === undefined) {
-        close();
-        continue;
-      }
-      if (run.length && this.times[n] - this.times[n - 1] > 1.6 * this.step) close();
-      const half = SIGMAS * (sigma?.[n] ?? 0);
-      const at = { x: x(this.times[n]), high: y(max[n]), low: y(min[n]), top: y(max[n] + half), bottom: y(min[n] - half) };
-      if (run.length) stroke.lineTo(at.x, at.high);
-      else stroke.moveTo(at.x, at.high);
-      if (at.low !== at.high) stroke.lineTo(at.x, at.low);
-      run.push(at);
-    }
-    close();
-    return { stroke, fill, clip: null, band: null, gaps: null, flags: 0 };
+  drawLine(u, k) {
+    const [first, last] = this.window();
+    if (first < last) drawLine(u, this.lines[k], this.hue(k), this, first, last - 1);
   }
 
   /** Gaps, flags and exclusions, behind the lines. */
   shade(u) {
-    const { ctx, bbox } = u;
-    ctx.save();
-    ctx.beginPath();
-    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
-    ctx.clip();
     const strip = 6 * devicePixelRatio;
-    const colours = {};
-    for (const span of this.spans) {
-      if (span.end < this.since || span.start > this.until || span.kind === "event") continue;
-      const half = span.kind === "datum" ? 0 : (this.step ?? 0) / 2;
-      const left = u.valToPos(Math.max(span.start - half, this.since), "x", true);
-      const right = u.valToPos(Math.min(span.end + half, this.until), "x", true);
-      ctx.fillStyle = colours[span.kind] ??= colour(`--span-${span.kind}`);
-      const flag = span.lane === "flag";
-      ctx.fillRect(left, flag ? bbox.top + bbox.height - strip : bbox.top, Math.max(right - left, devicePixelRatio),
-        flag ? strip : bbox.height);
-    }
-    ctx.restore();
+    const across = u.bbox.width / (this.until - this.since);
+    const x = (time) => u.bbox.left + across * (Math.min(Math.max(time, this.since), this.until) - this.since);
+    clipped(u, (ctx, bbox) => {
+      for (const span of this.spans) {
+        if (span.end < this.since || span.start > this.until || span.kind === "event") continue;
+        const half = span.kind === "datum" ? 0 : (this.step ?? 0) / 2;
+        const left = x(span.start - half);
+        const width = Math.max(x(span.end + half) - left, devicePixelRatio);
+        ctx.fillStyle = colour(`--span-${span.kind}`);
+        if (span.lane === "flag") ctx.fillRect(left, bbox.top + bbox.height - strip, width, strip);
+        else ctx.fillRect(left, bbox.top, width, bbox.height);
+      }
+    });
   }
 
   /** What stands at an index, as one text. */

@@ -1,9 +1,10 @@
 // Spans of the record: gaps, flags, ledger, events. What they say, and where they lie.
 
-import { epoch, t, timeText } from "./page.js";
+import { el, epoch, t, timeText } from "./page.js";
 
-export const LANES = ["gap", "flag", "ledger", "event"];
+const LANES = ["gap", "flag", "ledger", "event"];
 const MOST = 60; // what a keyboard can step through
+const NEAR_PX = 9;
 
 /** One list of {lane, kind, start, end, text} of an answer of /api/spans. */
 export const readSpans = (answer) => {
@@ -66,4 +67,24 @@ export const together = (spans, lane, since, until, near, mixed = false) => {
     ...group,
     text: group.count === 1 ? group.text : t("several", { count: group.count, text: group.texts.join("; ") }),
   }));
+};
+
+/** A row of buttons for each lane, above the figures: at `leftPx`, `widthPx` wide. */
+export const laneRows = (spans, since, until, leftPx, widthPx, tell, zoomTo) => {
+  const percent = (time) => (100 * (Math.min(Math.max(time, since), until) - since)) / (until - since);
+  const mark = (lane, span) => {
+    const text = spanText(span);
+    const [left, right] = [percent(span.start), percent(span.end)];
+    return el("button", {
+      type: "button", class: `mark mark-${span.kind}`, "aria-label": text, title: text, "data-key": `${lane}${span.start}`,
+      style: { left: `${left}%`, width: `${right - left}%` },
+      onfocus: () => tell(text), onmouseenter: () => tell(text), onclick: () => zoomTo(span),
+    });
+  };
+  return LANES.map((lane) => {
+    const marks = together(spans, lane, since, until, (NEAR_PX * (until - since)) / widthPx);
+    const name = t(`lane_${lane}`);
+    return el("div", { class: "lane", role: "group", "aria-label": name }, el("span", { class: "lane-name" }, name),
+      el("div", { class: "track", style: { marginLeft: `${leftPx}px`, width: `${widthPx}px` } }, marks.map((span) => mark(lane, span))));
+  });
 };

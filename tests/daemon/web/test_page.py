@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import os
 import re
+import sqlite3
+import threading
 from collections.abc import Iterator
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -14,9 +16,13 @@ from PIL import Image
 from playwright.sync_api import Browser, expect
 
 from benchmarks.page_record import FIRST, GAP_SLOTS, MINUTE, PEAK_MM, SUSPECT
+from daemon.store.database import open_store
 from daemon.times import slot_text
+from daemon.web.follower import Follower
 from tests.daemon.web.browsing import Visit, visiting
 from tests.daemon.web.conftest import Served
+from tests.daemon.web.site import START, page, row
+from tests.waiting import PATIENCE_S
 
 PAGES = ("/", "/days", "/analysis", "/events", "/calibrations", "/calibrations/1", "/aim")
 WIDE = {"viewport": {"width": 1280, "height": 900}, "color_scheme": "light"}
@@ -134,6 +140,31 @@ class TestOverview:
         )
         visit.show(*whole(served))
         expect(visit.panel("rotation")).to_be_visible()
+
+    @pytest.mark.parametrize("path", ["/", "/days"])
+    def test_it_says_how_far_the_record_is_read_until_all_is(
+        self, browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, path: str
+    ) -> None:
+        """Of three days one is read; the others wait."""
+        go_on, read = threading.Event(), Follower._build_next
+
+        def held(follower: Follower, connection: sqlite3.Connection) -> None:
+            if follower.progress().changes:
+                go_on.wait(PATIENCE_S)
+            read(follower, connection)
+
+        monkeypatch.setattr(Follower, "_build_next", held)
+        with open_store(tmp_path / "state") as store:
+            for day in range(3):
+                store.add_measurement(row(day, START + timedelta(days=day)))
+        with page(tmp_path) as site, visiting(browser, f"http://localhost:{site.port}") as visit:
+            visit.page.goto(visit.url + path)
+            building = visit.page.locator("#building")
+            expect(building).to_contain_text("33 % so far")
+            go_on.set()
+            expect(building).to_be_hidden()
+            visit.settle()
+            assert visit.complaints == []
 
 
 class TestFigure:
