@@ -281,7 +281,7 @@ class AravisDevice:
                 return self._aravis.Camera.new(device_id)
             except self._glib_error as error:
                 if "LIBUSB_ERROR_BUSY" not in error.message:
-                    raise
+                    raise NoAnswerError(_why_not_opened(error.message)) from None
                 if time.monotonic() > deadline_s:
                     raise DeviceLostError(self._in_use()) from None
             self._lost.wait(POLL_S)
@@ -324,6 +324,13 @@ class AravisDevice:
             problem = f"{shape[1]}x{shape[0]} px, pixel format {code:#010x}, {len(data)} bytes"
             return Grabbed(frame_id, time_ns, None, problem, FOREIGN_ADVICE)
         return Grabbed(frame_id, time_ns, np.frombuffer(data, sample).reshape(shape).copy())
+
+
+def _why_not_opened(message: str) -> str:
+    """What Aravis says, without the names of a USB camera that it had no chance to read."""
+    text = message.replace("(null)-", "")
+    cure = "it does not answer; unplug it and plug it in, or cut its power for a moment"
+    return f"{text}: {cure}" if "bootstrap USB" in text else text
 
 
 class AravisFeatures:

@@ -236,6 +236,14 @@ def test_a_camera_that_may_not_be_opened_is_named_with_the_cure(
         AravisCamera(MAIN, SETTINGS).open()
 
 
+@pytest.mark.filterwarnings("ignore:g_thread_join")  # Aravis, of a camera it could not talk to
+def test_a_camera_that_does_not_answer_is_named_with_the_cure(process: Usb3Process) -> None:
+    process.command("fault stalled")
+    with pytest.raises(DeviceLostError, match="not answer; unplug it and plug it in") as error:
+        AravisCamera(MAIN, SETTINGS).open()
+    assert "(null)" not in str(error.value)
+
+
 @pytest.mark.filterwarnings("ignore:g_thread_join")  # Aravis, of a camera it could not claim
 def test_a_camera_in_use_says_so(process: Usb3Process, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(aravis_device, "CONTROL_WAIT_S", 0.0)
