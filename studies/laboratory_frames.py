@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -28,6 +28,7 @@ from core.checkerboard.resection import resect
 from core.images import GreyImage
 from core.lens_model import LensModel
 from core.rig.calibrated_site import CalibratedSite
+from core.rig.compensation import affine
 from core.rig.propagation import predict_shift
 from core.site import (
     CameraGeometry,
@@ -147,8 +148,31 @@ def _square_px(site: Site) -> float:
     return target.square_mm * site.sub.focal_px / target.distance_mm
 
 
-def compute(positions: int, lens_views: int, seed: int, shrink: float = 1.0) -> dict[str, Any]:
-    """Errors (mm) of the test positions by detector and method, their raw values, and times."""
+@dataclass(frozen=True, slots=True)
+class Located:
+    """The frames, and where dcam finds targets in them."""
+
+    site: Site
+    options: FitOptions
+    images: dict[str, GreyImage]
+    """Of the main camera, by the view's name."""
+    views: Views
+    rejected: list[str]
+    locating_s: float
+    """CPU time of a pair."""
+
+    def errors_mm(self, views: Views, method: Method) -> list[list[float]]:
+        """Fit to all views but those of the test; the errors at these, (positions, 2)."""
+        asked = replace(self.options, method=method)
+        test = tests_of(views)
+        fitted = views.without({view.name for view in test})
+        first, _ = start_from_views(fitted, asked)
+        calibrated = build_calibrated_site(fit_views(fitted, first.lens, asked), asked)
+        return [_corrected_mm(calibrated, view) for view in test]
+
+
+def locate(positions: int, lens_views: int, seed: int, shrink: float = 1.0) -> Located:
+    """Render the frames and find the targets."""
     site = site_of(shrink)
     options = FitOptions(site, Board.nominal(site.sub_target), Method.RIGID, skew=False)
     taken = rendered(site, positions, lens_views, seed)
@@ -156,21 +180,30 @@ def compute(positions: int, lens_views: int, seed: int, shrink: float = 1.0) -> 
     started_s = time.process_time()
     seen, rejected = find_targets(taken, site)
     start, _ = start_from_views(seen, options)
-    ours = relocate_corners(seen, start.lens, options.board)
-    ours_s = (time.process_time() - started_s) / len(taken)
-    theirs, theirs_s = located_by_opencv(ours, images, site)
-    result: dict[str, Any] = {"rejected": [name for name, _ in rejected], "errors": {}, "raw": []}
-    for detector, views, seconds in (("dcam", ours, ours_s), ("OpenCV", theirs, theirs_s)):
-        test = [view for view in views.rig if view.name.startswith("test")]
-        fitted = views.without({view.name for view in test})
+    views = relocate_corners(seen, start.lens, options.board)
+    locating_s = (time.process_time() - started_s) / len(taken)
+    names = [name for name, _ in rejected]
+    return Located(site, options, images, views, names, locating_s)
+
+
+def tests_of(views: Views) -> list[PairView]:
+    """The positions of the test."""
+    return [view for view in views.rig if view.name.startswith("test")]
+
+
+def compute(positions: int, lens_views: int, seed: int, shrink: float = 1.0) -> dict[str, Any]:
+    """Errors (mm) of the test positions by detector and method, their raw values, and times."""
+    ours = locate(positions, lens_views, seed, shrink)
+    theirs, theirs_s = located_by_opencv(ours.views, ours.images, ours.site)
+    result: dict[str, Any] = {"rejected": ours.rejected, "errors": {}}
+    for detector, views, seconds in (
+        ("dcam", ours.views, ours.locating_s),
+        ("OpenCV", theirs, theirs_s),
+    ):
         for method in (Method.PAPER, Method.RIGID):
-            asked = replace(options, method=method)
-            first, _ = start_from_views(fitted, asked)
-            calibrated = build_calibrated_site(fit_views(fitted, first.lens, asked), asked)
-            found = [_corrected_mm(calibrated, view) for view in test]
-            result["errors"][f"{detector}, {method.value}"] = {"mm": found, "locating_s": seconds}
-            result["raw"] = [_raw_mm(calibrated, view) for view in test]
-    return result
+            found = {"mm": ours.errors_mm(views, method), "locating_s": seconds}
+            result["errors"][f"{detector}, {method.value}"] = found
+    return result | {"raw": _raw_mm(ours.site, theirs)}
 
 
 def _corrected_mm(calibrated: CalibratedSite, view: PairView) -> list[float]:
@@ -183,8 +216,10 @@ def _corrected_mm(calibrated: CalibratedSite, view: PairView) -> list[float]:
     return mm
 
 
-def _raw_mm(calibrated: CalibratedSite, view: PairView) -> list[float]:
-    """What the main camera alone says (2,)."""
-    moved_px = (view.discs.points_px - calibrated.reference_discs_px).mean(axis=0)
-    mm: list[float] = np.linalg.solve(calibrated.B, moved_px).tolist()
+def _raw_mm(site: Site, views: Views) -> list[list[float]]:
+    """What the main camera alone says at the positions of the test, (positions, 2)."""
+    reference_px = views.reference.discs.points_px
+    B = affine(site.main_target.centres_mm, reference_px)[0]
+    moved_px = [(view.discs.points_px - reference_px).mean(axis=0) for view in tests_of(views)]
+    mm: list[list[float]] = np.linalg.solve(B, np.array(moved_px).T).T.tolist()
     return mm

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from typing import Any
 
 from daemon.errors import HardwareError, UsageError, WorkFailedError
@@ -31,7 +32,7 @@ class RemotePath:
     @property
     def name(self) -> str:
         """The last part."""
-        return self.url.rpartition("/")[2]
+        return _name(self.url)
 
     def read_bytes(self) -> bytes:
         """The file's content. Raises FileNotFoundError, StorageError, UsageError."""
@@ -54,13 +55,43 @@ class RemotePath:
             raise _unanswered(self.url, error) from error
 
     def glob(self, pattern: str) -> list[RemotePath]:
-        """What matches below it, in order. Raises StorageError, UsageError."""
+        """What matches below it, in order. Raises StorageError, UsageError.
+
+        Lists no directory below the last wildcard: those of an archive hold millions of images.
+        """
         files, path = _opened(self.url)
+        found = [path.rstrip("/")]
         try:
-            found = files.glob(f"{path.rstrip('/')}/{pattern}")
+            for part in pattern.split("/"):
+                if set(part) & set("*?["):
+                    children = [child for parent in found for child in _listed(files, parent)]
+                    found = [child for child in children if fnmatchcase(_name(child), part)]
+                else:
+                    named = [f"{parent}/{part}" for parent in found]
+                    found = [child for child in named if _is_there(files, child)]
         except Exception as error:  # as above
             raise _unanswered(self.url, error) from error
         return [RemotePath(files.unstrip_protocol(one)) for one in sorted(found)]
+
+
+def _listed(files: Any, path: str) -> list[str]:
+    try:
+        return [str(child).rstrip("/") for child in files.ls(path, detail=False)]
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+
+
+def _is_there(files: Any, path: str) -> bool:
+    """As `exists`, which takes a storage that does not answer for a no."""
+    try:
+        files.info(path)
+    except FileNotFoundError:
+        return False
+    return True
+
+
+def _name(path: str) -> str:
+    return path.rpartition("/")[2]
 
 
 def is_url(text: str) -> bool:

@@ -15,6 +15,7 @@ from datetime import timedelta
 from pathlib import Path
 
 import dask
+import fsspec
 import pytest
 import structlog
 from distributed import LocalCluster
@@ -252,10 +253,33 @@ def test_a_tree_of_days_is_measured_as_one(further: Path, ctl: Ctl, tmp_path: Pa
     for place in (tmp_path, tmp_path / "frames"):
         assert ctl(*arguments(further, place, tree)).code == 0
         assert tree.read_bytes() == one.read_bytes()
+    _assert_no_day_is_listed_to_find_its_table(further, ctl, tmp_path, one)
     write_table(tmp_path / "frames/2026/03/02", whole[1:3])
     ran = ctl(*arguments(further, tmp_path, tree))
     assert ran.code == 4
     assert "2026/03/02/frames.csv: begins before the set before it ends" in ran.err
+
+
+def _assert_no_day_is_listed_to_find_its_table(
+    further: Path, ctl: Ctl, tmp_path: Path, one: Path
+) -> None:
+    """An archive of ten years has ten million images, whose names would fill the memory."""
+    storage, output = fsspec.filesystem("memory"), tmp_path / "url.csv"
+    storage.put(str(tmp_path / "frames"), "/bridge/frames", recursive=True)
+    listed: list[str] = []
+
+    def ls(path, *arguments, **options):
+        listed.append(path)
+        return type(storage).ls(storage, path, *arguments, **options)
+
+    with pytest.MonkeyPatch.context() as watched:
+        watched.setattr(storage, "ls", ls)
+        for place in ("memory://bridge", "memory://bridge/frames"):
+            ran = ctl(*arguments(further, place, output))
+            assert ran.code == 0, ran.err
+            assert output.read_bytes() == one.read_bytes()
+    assert "/bridge/frames/2026/03" in listed
+    assert not [path for path in listed if "2026/03/" in path]
 
 
 KEYS = {
