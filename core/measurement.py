@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from core.calibration.calibrate import Calibration
 from core.checkerboard.board import Board
 from core.checkerboard.corners import detect_board
-from core.discs.disc_finder import find_discs
 from core.errors import TargetNotFoundError
 from core.images import GreyImage
 from core.moment import Moment
 from core.quality.verdicts import flag_of, judge_value
+from core.recognition import find_targets
 from core.results import Diagnostics, Displacement, Flag, Measurement, Reason, TargetMeasurement
 from core.rig.closure import close, closure_of, consistent, is_beyond, joint_shifts
 from core.rig.compensation import Shifts
@@ -112,7 +112,8 @@ def assess_pair(
 def look_at_pair(main: GreyImage | None, sub: GreyImage | None, site: Site) -> Measurement:
     """Say what a pair shows of both targets by the config alone, while there is no calibration.
 
-    The measurement has no value, its diagnostics say what was found. Never raises for what an
+    The measurement has no value, its diagnostics say what was found of the main target, which is
+    told from further ones, and of the board. Never raises for what an
     image shows; None means there is no image.
     """
     discs, board = None, None
@@ -121,8 +122,10 @@ def look_at_pair(main: GreyImage | None, sub: GreyImage | None, site: Site) -> M
     reasons += why
     if image is not None:
         try:
-            discs = find_discs(image, site.main_target, site.nominal_px_per_mm)
+            discs = find_targets(image, site)[0]
         except TargetNotFoundError:
+            discs = None
+        if discs is None:
             reasons += not_found(image, Reason.MAIN_TARGET_NOT_FOUND)
     image, why = usable_image(sub, site.sub, "sub")
     reasons += why

@@ -50,6 +50,16 @@ def recognise_discs(image: GreyImage, site: Site) -> Discs:
     return discs
 
 
+def find_targets(image: GreyImage, site: Site) -> list[Discs | None]:
+    """Find all targets of the main image, the main one first; None for one that is not seen.
+
+    Raises TargetNotFoundError; does not say why one is not found.
+    """
+    if not site.extra_targets:
+        return [find_discs(image, site.main_target, site.nominal_px_per_mm)]
+    return find_plates(image, wanted_plates(site))
+
+
 def recognise_targets(
     image: GreyImage, site: Site, before: Sequence[Discs | None] | None = None
 ) -> tuple[Discs, tuple[Discs | None, ...]]:

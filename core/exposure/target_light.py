@@ -16,6 +16,7 @@ from core.geometry.pose import Pose
 from core.images import GreyImage
 from core.results import Displacement, RigMotion
 from core.rig.calibrated_site import CalibratedSite
+from core.rig.calibrated_target import CalibratedTarget
 from core.site import CirclesTarget
 
 _WHITE_PERCENTILE, _BLACK_PERCENTILE = 75.0, 50.0
@@ -86,13 +87,13 @@ def area_light(image: GreyImage, box: Box) -> TargetLight:
 
 
 def discs_in_image(
-    calibrated: CalibratedSite, target: CirclesTarget, raw: Displacement
+    target: CalibratedTarget, drawn: CirclesTarget, raw: Displacement
 ) -> tuple[FloatArray, FloatArray]:
-    """Where a raw displacement says that the discs are: (n, 2) and radii (n,), px."""
-    seen = np.isfinite(calibrated.reference_discs_px).all(axis=1)
-    points = calibrated.reference_discs_px[seen] + calibrated.B @ raw.mm
-    scale = float(np.sqrt(abs(np.linalg.det(calibrated.B))))
-    return points, scale * target.diameters_mm[seen] / 2.0
+    """Where a raw displacement says that a target's discs are: (n, 2) and radii (n,), px."""
+    seen = np.isfinite(target.reference_px).all(axis=1)
+    points = target.reference_px[seen] + target.B @ raw.mm
+    scale = float(np.sqrt(abs(np.linalg.det(target.B))))
+    return points, scale * drawn.diameters_mm[seen] / 2.0
 
 
 def corners_in_image(calibrated: CalibratedSite, motion: RigMotion) -> tuple[IntArray, FloatArray]:

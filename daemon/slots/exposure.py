@@ -13,8 +13,6 @@ import structlog
 from core.arrays import FloatArray
 from core.checkerboard.board import Board
 from core.checkerboard.corners import detect_board
-from core.discs.disc_finder import Discs, find_discs
-from core.discs.plates import find_plates
 from core.errors import CoreError
 from core.exposure.exposure_rule import Exposure, ExposureRule, next_exposure, within
 from core.exposure.target_light import (
@@ -28,10 +26,10 @@ from core.exposure.target_light import (
     discs_in_image,
 )
 from core.images import GreyImage
-from core.recognition import wanted_plates
+from core.recognition import find_targets
 from core.results import Measurement
 from core.rig.calibrated_site import CalibratedSite
-from core.site import Site
+from core.site import MAIN, Site
 from daemon.store.database import Store
 from daemon.store.records import CameraState
 from drivers.protocols import CapturedFrame, CapturedPair, Clock, FramePairSource, Role
@@ -150,39 +148,50 @@ class ExposureLoop:
     def _see_main(
         self, image: GreyImage, measurement: Measurement | None, calibrated: CalibratedSite | None
     ) -> _Seen:
-        target = self._site.main_target
-        if calibrated is not None:
-            if measurement is None or measurement.raw is None:
-                return _UNSEEN
-            points, radii = discs_in_image(calibrated, target, measurement.raw)
-        else:
-            return self._see_plates(image)
-        return disc_light(image, points, radii), points, 2.0 * float(radii.max())
-
-    def _see_plates(self, image: GreyImage) -> _Seen:
         """The brightest of all targets, so that none is overexposed; the main one must be seen."""
-        site = self._site
-        found: Sequence[Discs | None]
-        try:
-            if site.extra_targets:
-                found = find_plates(image, wanted_plates(site))
-            else:
-                found = [find_discs(image, site.main_target, site.nominal_px_per_mm)]
-        except CoreError:
+        if calibrated is None:
+            places = self._find_plates(image)
+        elif measurement is None or measurement.raw is None:
             return _UNSEEN
-        if found[0] is None:
-            return _UNSEEN
+        else:
+            places = self._measured_plates(measurement, calibrated)
         seen = []
-        for discs, target in zip(found, site.targets, strict=True):
-            if discs is None:
-                continue
-            points = discs.points_px[discs.found]
-            px_per_mm = site.main.focal_px / target.distance_mm
-            radii = px_per_mm * target.diameters_mm[discs.found] / 2.0
+        for points, radii in places:
             light = disc_light(image, points, radii)
             if light is not None:
                 seen.append((light, points, 2.0 * float(radii.max())))
         return max(seen, key=lambda one: one[0].white, default=_UNSEEN)
+
+    def _measured_plates(
+        self, measurement: Measurement, calibrated: CalibratedSite
+    ) -> list[_Places]:
+        """Where the measurement says that the targets' discs are."""
+        raw = {MAIN: measurement.raw, **{one.name: one.raw for one in measurement.targets}}
+        drawn = {MAIN: self._site.main_target}
+        drawn |= {extra.name: extra.target for extra in self._site.extra_targets}
+        places = []
+        for target in (calibrated.main_target, *calibrated.further):
+            found = raw.get(target.name)
+            if found is not None and target.name in drawn:
+                places.append(discs_in_image(target, drawn[target.name], found))
+        return places
+
+    def _find_plates(self, image: GreyImage) -> list[_Places]:
+        """Where the image shows them; none without the main one."""
+        site = self._site
+        try:
+            found = find_targets(image, site)
+        except CoreError:
+            return []
+        if found[0] is None:
+            return []
+        places = []
+        for discs, target in zip(found, site.targets, strict=True):
+            if discs is not None:
+                px_per_mm = site.main.focal_px / target.distance_mm
+                radii = px_per_mm * target.diameters_mm[discs.found] / 2.0
+                places.append((discs.points_px[discs.found], radii))
+        return places
 
     def _see_sub(
         self, image: GreyImage, measurement: Measurement | None, calibrated: CalibratedSite | None
@@ -202,6 +211,8 @@ class ExposureLoop:
         return board_light(image, board, index, points), points, 0.0
 
 
+_Places = tuple[FloatArray, FloatArray]
+"""A target's discs in an image (n, 2) and their radii (n,), px."""
 _Seen = tuple[TargetLight | None, FloatArray | None, float]
 """A target's light, where it was seen (n, 2) px, and the margin about that in px."""
 _UNSEEN: _Seen = (None, None, 0.0)
