@@ -39,6 +39,7 @@ def budget_of(made: NumbersSite, number: int, now: Moment) -> tuple[Budget, floa
         board.pose.compose(calibrated.reference_pose.inverse()),
         rig_motion(calibrated, board).covariance,
         {"main": raw.covariance_mm2},
+        {"main": raw.mm},
         corners=len(pair.board.view.index),
         image_mm2=corrected.covariance_mm2,
     )

@@ -140,7 +140,7 @@ class StabilityBudget:
     air_gradient_k_per_m: float = 0.1
     """Of the air's temperature across the line of sight, less what it was at the calibration."""
     temperature_range_k: float = 10.0
-    """Of the site's temperature about its mean, where no camera tells its own."""
+    """Of the site's temperature about its mean, where nothing tells it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +158,8 @@ class Site:
     extra_targets: tuple[ExtraTarget, ...] = ()
     """In the order of the config."""
     stability: StabilityBudget = field(default_factory=StabilityBudget)
+    temperature_reading: str | None = None
+    """Name of the sensor that tells how warm steel and board are; None: the cameras do."""
 
     @property
     def nominal_px_per_mm(self) -> float:

@@ -43,6 +43,8 @@ class RowState:
     raw_mm2: Mapping[str, FloatArray]
     """(2, 2) covariance of the raw displacement of each target seen, by name, from the reference of
     the row's calibration."""
+    raw_mm: Mapping[str, FloatArray]
+    """(2,) raw displacement of each target seen, by name."""
     believed: Collection[str] = ()
     """Fixed targets whose closure was taken off."""
     corners: int = 0
@@ -115,6 +117,8 @@ class BudgetModel:
     to_mm: FloatArray
     """(m, m)."""
     rows: tuple[slice, ...]
+    places_px: tuple[FloatArray, ...]
+    """(2,) where the discs of each target are in the row, in the mean."""
     datum_mm2: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
 
 

@@ -19,7 +19,7 @@ from core.checkerboard.resection import BoardView, resect
 from core.geometry.lens import Lens
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.calibrated_target import CalibratedTarget
-from core.rig.propagation import MAIN_GEOMETRY_SHARE, predict_shift_of, turned_B
+from core.rig.propagation import geometry_errors, predict_shift_of, turned_B
 from core.rig.rigid import Rig
 from core.rig.stability import total_covariance
 from core.site import MAIN
@@ -153,6 +153,7 @@ def _trial(model: BudgetModel, truth: _Truth, rng: np.random.Generator) -> Float
     motion = pose.compose(calibrated.reference_pose.inverse())
     motion = motion.perturbed(truth.motion_root @ rng.standard_normal(6))
     values = np.empty(len(model.own_mm))
+    plainness = rng.standard_normal(2)
     further = {target.name: target for target in calibrated.further}
     for number, (combination, rows) in enumerate(zip(model.combinations, model.rows, strict=True)):
         name, which = combination.target.name, combination.which
@@ -164,8 +165,7 @@ def _trial(model: BudgetModel, truth: _Truth, rng: np.random.Generator) -> Float
             noise = noise + sigma_px * rng.standard_normal((len(which), 2))
         miss = images[number] + noise - target.reference_px[which] - prediction.shift_px
         values[rows] = combination.of(miss)
-        mean_px = combination.of(prediction.shift_px)
-        values[rows] += MAIN_GEOMETRY_SHARE * mean_px * rng.standard_normal(len(mean_px))
+        values[rows] += geometry_errors([replace(combination, prediction=prediction)]) @ plainness
         shift = slice(rows.start, rows.start + 2)
         B = turned_B(calibrated, target, motion)
         values[shift] = np.linalg.solve(B, values[shift])
@@ -200,13 +200,13 @@ def _changed_images(
     centre, main_mm = model.site.main.centre_px, model.site.main_target.distance_mm
     roll, scale = float(state[2]), 1.0 + float(state[3])
     turn = scale * np.array([[math.cos(roll), -math.sin(roll)], [math.sin(roll), math.cos(roll)]])
-    return [
-        centre
-        + (points - centre) @ turn.T
-        + state[:2]
-        + state[4:] * (target.distance_mm or main_mm) / main_mm
-        for points, target in zip(truth.discs_px, model.targets, strict=True)
-    ]
+    images = []
+    for at_rest, place, target in zip(truth.discs_px, model.places_px, model.targets, strict=True):
+        displaced = place - at_rest.mean(axis=0)
+        points = centre + (at_rest + displaced - centre) @ turn.T - displaced
+        bent = state[4:] * (target.distance_mm or main_mm) / main_mm
+        images.append(points + state[:2] + bent)
+    return images
 
 
 def _distance(target: CalibratedTarget, rng: np.random.Generator) -> CalibratedTarget:

@@ -89,6 +89,7 @@ def row_budget(
         own_mm=errors.own_mm,
         to_mm=errors.to_mm,
         rows=errors.rows,
+        places_px=errors.places_px,
         datum_mm2=np.zeros((2, 2)) if datum is None else datum.covariance_mm2,
     )
     return Budget(inputs, main_scale(calibrated.B), model)
@@ -101,6 +102,8 @@ class _ValueErrors:
     combinations: tuple[DiscCombination, ...]
     rows: tuple[slice, ...]
     """Of each target among the values."""
+    places_px: tuple[FloatArray, ...]
+    """(2,) where the discs of each target are in the row, in the mean."""
     one_disc_px2: tuple[FloatArray, ...]
     """(2, 2) of a disc of each target as the raw displacement has it: at most."""
     corners: FloatArray
@@ -176,17 +179,19 @@ def _value_errors(
     combinations, rows = _combinations(calibrated, targets, row.motion)
     sensitivities, _ = shift_sensitivities(calibrated, combinations, pose, view, view.whitening())
     by_motion = np.concatenate([c.of(c.prediction.by_motion) for c in combinations])
+    places_px = tuple(one.middle_px + one.B @ row.raw_mm[one.name] for one in targets)
     centre_px, distance_mm = site.main.centre_px, site.main_target.distance_mm
     effects = np.concatenate(
         [
-            state_effects(one, centre_px, distance_mm)[: s.stop - s.start]
-            for one, s in zip(targets, rows, strict=True)
+            state_effects(one, place_px, centre_px, distance_mm)[: s.stop - s.start]
+            for one, place_px, s in zip(targets, places_px, rows, strict=True)
         ]
     )
     none = np.zeros((len(effects), len(effects)))
     return _ValueErrors(
         combinations=tuple(combinations),
         rows=tuple(rows),
+        places_px=places_px,
         one_disc_px2=tuple(_one_disc(calibrated, c, row) for c in combinations),
         corners=by_motion @ row.motion_covariance @ by_motion.T,
         calibration=sensitivities.covariance(calibrated.posterior),

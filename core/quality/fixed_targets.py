@@ -125,7 +125,8 @@ def _budget_mm2(
         return np.zeros((2, 2))
     terms = stability_terms(site, main_scale(calibrated.B), before, now, calibrated.lens)
     state = total_covariance(terms)
-    effects = state_effects(target, site.main.centre_px, site.main_target.distance_mm)[:2]
+    centre_px, main_mm = site.main.centre_px, site.main_target.distance_mm
+    effects = state_effects(target, target.middle_px, centre_px, main_mm)[:2]
     to_mm = np.linalg.inv(target.B) @ effects
     return np.asarray(to_mm @ state @ to_mm.T)
 

@@ -85,8 +85,10 @@ def joint_shifts(
         prior = Prior(np.zeros(STATE), covariance)
     effects = to_mm @ np.concatenate(
         [
-            state_effects(target, centre_px, main_mm)[: rows.stop - rows.start]
-            for target, rows in zip(shifts.targets, shifts.rows, strict=True)
+            state_effects(target, place_px, centre_px, main_mm)[: rows.stop - rows.start]
+            for target, place_px, rows in zip(
+                shifts.targets, shifts.places_px, shifts.rows, strict=True
+            )
         ]
     )
     stable_mm = {extra.name: extra.stable_mm for extra in site.extra_targets}

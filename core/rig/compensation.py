@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.optimize
 
 from core.arrays import FloatArray, IntArray
 from core.checkerboard.resection import BoardPose, BoardView, robust_weights
@@ -30,6 +31,8 @@ AFFINE_LIMIT_PX = 1.0
 """Of Eq. 5: the paper's own limit."""
 _CLEAN_MARGIN = 0.04
 """A disc is clean whose explained share is so near to the best one's. Insensitive."""
+PRIOR_FREEDOM = 2
+"""Degrees of freedom that the predicted noise of discs counts as: those of one disc. Chosen."""
 _LEAST_SCATTER_PX = 0.01
 """Of the discs about their median, for robust weights: a few discs may lie together by chance."""
 
@@ -72,7 +75,8 @@ class CommonShift:
     weights: FloatArray
     """(k,) summing to 1."""
     residual_px: float
-    """rms of the discs about their common shift."""
+    """rms of the discs about their common shift, turn and change of scale: a lens that warms and a
+    plate that turns move them against one another, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +104,8 @@ class Shifts:
     """(m, m) the part of it that is the same in every frame."""
     B: tuple[FloatArray, ...]
     """(2, 2) px/mm of each target, as the camera is turned now."""
+    places_px: tuple[FloatArray, ...]
+    """(2,) where the discs of each target are now, in the mean."""
 
     @property
     def to_mm(self) -> FloatArray:
@@ -128,7 +134,9 @@ def choose_discs(target: CalibratedTarget, discs: Discs) -> IntArray:
     return np.nonzero(chosen)[0]
 
 
-def _common_shift(miss_px: FloatArray, which: IntArray) -> tuple[FloatArray, CommonShift]:
+def _common_shift(
+    miss_px: FloatArray, which: IntArray, points_px: FloatArray
+) -> tuple[FloatArray, CommonShift]:
     """Robust mean (2,) of the discs' shifts (k, 2)."""
     middle = np.median(miss_px, axis=0)
     away = np.hypot(*(miss_px - middle).T)
@@ -136,7 +144,10 @@ def _common_shift(miss_px: FloatArray, which: IntArray) -> tuple[FloatArray, Com
     weights = robust_weights(away / scale)
     weights = weights / weights.sum()
     mean = weights @ miss_px
-    squares = ((miss_px - mean) ** 2).sum(axis=1) / 2.0
+    turn, growth = np.einsum("mka,ka->m", turn_and_scale_of(weights, points_px), miss_px)
+    x, y = (points_px - weights @ points_px).T
+    alike = np.stack([growth * x - turn * y, growth * y + turn * x], axis=1)
+    squares = ((miss_px - mean - alike) ** 2).sum(axis=1) / 2.0
     return mean, CommonShift(which, weights, float(np.sqrt(weights @ squares)))
 
 
@@ -150,7 +161,7 @@ def raw_displacement(
     target, discs = seen.target, seen.discs
     which = choose_discs(target, discs)
     miss = discs.points_px[which] - target.reference_px[which]
-    mean, shift = _common_shift(miss, which)
+    mean, shift = _common_shift(miss, which, target.reference_px[which])
     reference_px2 = _reference_noise(calibrated, target, shift)
     own_px2 = _disc_noise(discs, shift, reference_px2, mean_of(shift.weights))
     covariance_px2 = own_px2 + reference_px2
@@ -163,16 +174,38 @@ def raw_displacement(
 def _disc_noise(
     discs: Discs, shift: CommonShift, reference_px2: FloatArray, sums: FloatArray
 ) -> FloatArray:
-    """Covariance (m, m) of sums over the discs from this image: as predicted, or as they scatter.
+    """Covariance (m, m) of sums over the discs from this image: as predicted and as they scatter.
 
     What the reference's noise makes them scatter does not count.
     """
     each = discs.covariance_px2[shift.which] + DISC_FLOOR_PX**2 * np.eye(2)
     predicted = np.einsum("k,kab->ab", shift.weights**2, each)
-    spread = shift.residual_px**2 / max(len(shift.which) - 1, 1)
-    excess = max(0.0, float(spread - np.trace(predicted + reference_px2) / 2.0))
-    each = each + excess / (shift.weights @ shift.weights) * np.eye(2)
-    return np.asarray(np.einsum("mka,kab,lkb->ml", sums, each, sums))
+    n = len(shift.which)
+    spread_px2 = shift.residual_px**2 / (n - 2)
+    share = noise_share(
+        np.trace(predicted) / 2.0, np.trace(reference_px2) / 2.0, spread_px2, 2 * (n - 2)
+    )
+    return np.asarray(share * np.einsum("mka,kab,lkb->ml", sums, each, sums))
+
+
+def noise_share(predicted: float, reference: float, spread: float, freedom: int) -> float:
+    """By what the predicted variance of a mean of discs is to be multiplied, as they scatter.
+
+    All as variances of the mean. The most probable share: the discs' scatter has the variance
+    share x predicted + reference, and what was predicted counts as one more disc with just this
+    scatter. Where the scatter is as predicted that is 1. To take a larger scatter as it is, and
+    none that is smaller, would make the noise too large in the mean.
+    """
+    if predicted <= 0.0:
+        return 1.0
+
+    def slope(share: float) -> float:
+        whole = share * predicted + reference
+        return PRIOR_FREEDOM * (share - 1.0) * whole**2 + freedom * predicted * share**2 * (
+            whole - spread
+        )
+
+    return float(scipy.optimize.brentq(slope, 1e-9, 1.0 + spread / predicted, rtol=1e-6))
 
 
 def _reference_noise(
@@ -195,13 +228,13 @@ def remaining_shifts(
     Raises TargetNotFoundError if fewer than three discs of one are seen.
     """
     motion = board.pose.compose(calibrated.reference_pose.inverse())
-    commons, combinations, noises, values = [], [], [], []
+    commons, combinations, noises, values, places_px = [], [], [], [], []
     for one in seen:
         target, discs = one.target, one.discs
         which = choose_discs(target, discs)
         prediction = predict_shift_of(calibrated, target, which, motion)
         miss = discs.points_px[which] - target.reference_px[which] - prediction.shift_px
-        common = _common_shift(miss, which)[1]
+        common = _common_shift(miss, which, target.reference_px[which])[1]
         sums = mean_of(common.weights)
         if target.is_fixed:
             turn = turn_and_scale_of(common.weights, target.reference_px[which])
@@ -212,6 +245,7 @@ def remaining_shifts(
         combinations.append(combination)
         values.append(combination.of(miss))
         noises.append(_disc_noise(discs, common, reference_px2, sums))
+        places_px.append(common.weights @ discs.points_px[which])
     root = view.whitening() * np.sqrt(board.weights)[:, None, None]
     sensitivities, by_pose = shift_sensitivities(calibrated, combinations, board.pose, view, root)
     shared = sensitivities.covariance(calibrated.posterior)
@@ -227,6 +261,7 @@ def remaining_shifts(
         own + shared,
         shared,
         tuple(turned_B(calibrated, target, motion) for target in targets),
+        tuple(places_px),
     )
 
 

@@ -173,7 +173,7 @@ def shift_sensitivities(
         calibrated.lens, pose, calibrated.corners_mm, view, root, by_pose
     )
     by_discs = np.concatenate([_by_main_discs(calibrated, c) for c in combinations])
-    floor = block_diagonal([_floor(c) for c in combinations])
+    floor = _geometry_floor(combinations) + block_diagonal([_floor(c) for c in combinations])
     return (
         Sensitivities(by_lens, by_model, by_reference, by_discs, view.index, by_corners, floor),
         by_pose,
@@ -188,11 +188,28 @@ def _by_main_discs(calibrated: CalibratedSite, combination: DiscCombination) -> 
     return by_discs
 
 
+def geometry_errors(combinations: Sequence[DiscCombination]) -> FloatArray:
+    """(m, 2) px: 1 sigma of what the plain model of the main camera leaves out, along u and v.
+
+    Pixels off square, or a focal length that differs along u and v, scale the false shift of every
+    target in the image by the same share.
+    """
+    errors = []
+    for c in combinations:
+        along = [c.of(c.prediction.shift_px * axis) for axis in np.eye(2)]
+        errors.append(MAIN_GEOMETRY_SHARE * np.stack(along, axis=1))
+    return np.concatenate(errors)
+
+
+def _geometry_floor(combinations: Sequence[DiscCombination]) -> FloatArray:
+    errors = geometry_errors(combinations)
+    return np.asarray(errors @ errors.T)
+
+
 def _floor(combination: DiscCombination) -> FloatArray:
-    """(m, m) that the model leaves out, the reference and the distance of a further target."""
+    """(m, m) of the reference and the distance of a further target."""
     target, sums = combination.target, combination.sums
-    floor = np.diag((MAIN_GEOMETRY_SHARE * combination.of(combination.prediction.shift_px)) ** 2)
-    floor += np.einsum("mka,lka,k->ml", sums, sums, target.reference_px2[combination.which])
+    floor = np.einsum("mka,lka,k->ml", sums, sums, target.reference_px2[combination.which])
     if combination.prediction.by_distance is not None:
         share = target.distance_sigma_mm / target.distance_mm
         by_distance = share * combination.of(combination.prediction.by_distance)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -111,7 +112,17 @@ def turn_by_sub_shift(site: Site, lens: Lens | None = None) -> float:
     if lens is None:
         ideal = Lens.ideal(LensModel.RADIAL, camera.focal_px, camera.centre_px)
         lens = ideal.moved(np.array([0.0, 0.0, 0.0, 0.0, 0.0, _USUAL_K1, _USUAL_K2]))
-    across, down = (np.linspace(0.0, n - 1.0, _GRID) for n in (camera.width_px, camera.height_px))
+    size_px = camera.width_px, camera.height_px
+    return _turn_by_shift(size_px, lens.model, tuple(lens.parameters.tolist()))
+
+
+@lru_cache(maxsize=8)
+def _turn_by_shift(
+    size_px: tuple[int, int], model: LensModel, parameters: tuple[float, ...]
+) -> float:
+    """Of one camera and its lens; rows ask for the same again and again."""
+    lens = Lens(np.array(parameters), model)
+    across, down = (np.linspace(0.0, n - 1.0, _GRID) for n in size_px)
     rays = lens.rays(np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2))
     rays = rays[rays[:, 2] > _IN_FRONT]
     points = rays / rays[:, 2:]
@@ -138,14 +149,11 @@ def stability_terms(
     age_s = abs(now.utc_s - reference.utc_s)
     days = age_s / _DAY_S
     settled = 1.0 - float(np.exp(-((age_s / _SETTLED_S) ** 2)))
-    if now.temperature_c is None or reference.temperature_c is None:
-        kelvin = budget.temperature_range_k * settled
-    else:
-        kelvin = now.temperature_c - reference.temperature_c
-    warmed = f"{abs(kelvin):.1f} K"
+    lens_k, steel_k = _warming(site, reference, now, budget.temperature_range_k * settled)
+    warmed, lens_warmed = f"{abs(steel_k):.1f} K", f"{abs(lens_k):.1f} K"
 
     def turns(urad_per_k: float, urad_per_sqrt_day: float) -> tuple[float, float]:
-        return (1e-6 * urad_per_k * kelvin) ** 2, 1e-12 * urad_per_sqrt_day**2 * days
+        return (1e-6 * urad_per_k * steel_k) ** 2, 1e-12 * urad_per_sqrt_day**2 * days
 
     def of_turn(rad2: float) -> FloatArray:
         return np.diag([focal_px**2 * rad2, focal_px**2 * rad2, rad2, 0.0, 0.0, 0.0])
@@ -153,9 +161,9 @@ def stability_terms(
     cameras_k, cameras_d = turns(budget.cameras_urad_per_k, budget.cameras_urad_per_sqrt_day)
     board_k, board_d = turns(budget.board_urad_per_k, budget.board_urad_per_sqrt_day)
     half_board_mm = 0.5 * site.sub_target.square_mm * site.sub_target.squares_x
-    slide_px = budget.board_expansion_per_k * kelvin * half_board_mm * scale_px_per_mm
-    lens_px, lens_scale = budget.main_px_per_k * kelvin, budget.main_scale_per_k * kelvin
-    feigned_px = focal_px * turn_by_sub_shift(site, sub_lens) * budget.sub_px_per_k * kelvin
+    slide_px = budget.board_expansion_per_k * steel_k * half_board_mm * scale_px_per_mm
+    lens_px, lens_scale = budget.main_px_per_k * lens_k, budget.main_scale_per_k * lens_k
+    feigned_px = focal_px * turn_by_sub_shift(site, sub_lens) * budget.sub_px_per_k * lens_k
     metres = 1e-3 * site.main_target.distance_mm
     air_mm = 1e3 * 0.5 * DN_DT_PER_K * budget.air_gradient_k_per_m * metres**2 * settled
     air_px2 = (air_mm * scale_px_per_mm) ** 2
@@ -175,12 +183,12 @@ def stability_terms(
             _BOARD,
         ),
         Term(
-            f"the main lens warming by {warmed}",
+            f"the main lens warming by {lens_warmed}",
             np.diag([lens_px**2, lens_px**2, 0.0, lens_scale**2, 0.0, 0.0]),
             _LENS,
         ),
         Term(
-            f"the sub lens warming by {warmed}",
+            f"the sub lens warming by {lens_warmed}",
             np.diag([feigned_px**2, feigned_px**2, *zero[2:]]),
             _SUB_LENS,
         ),
@@ -190,6 +198,23 @@ def stability_terms(
             _AIR,
         ),
     )
+
+
+def _warming(site: Site, reference: Moment, now: Moment, unknown_k: float) -> tuple[float, float]:
+    """By how much lenses, and steel and board, are warmer than at the reference, K.
+
+    Lenses follow the camera, steel and board the sensor that the site names; the one stands for
+    the other where that is not known.
+    """
+
+    def change(before: float | None, after: float | None) -> float | None:
+        return None if before is None or after is None else after - before
+
+    name = site.temperature_reading or ""
+    camera_k = change(reference.temperature_c, now.temperature_c)
+    sensor_k = change(reference.readings.get(name), now.readings.get(name))
+    known = [kelvin for kelvin in (camera_k, sensor_k) if kelvin is not None]
+    return (known[0], known[-1]) if known else (unknown_k, unknown_k)
 
 
 def season_sentence(
@@ -206,10 +231,13 @@ def season_sentence(
 
 
 def state_effects(
-    target: CalibratedTarget, centre_px: FloatArray, main_distance_mm: float
+    target: CalibratedTarget, place_px: FloatArray, centre_px: FloatArray, main_distance_mm: float
 ) -> FloatArray:
-    """(4, 6): how a target's mean shift (px), turn (rad) and change of scale follow the state."""
-    x, y = target.middle_px - centre_px
+    """(4, 6): how a target's mean shift (px), turn (rad) and change of scale follow the state.
+
+    place_px (2,) is where it is now: a change of scale changes a displacement, too.
+    """
+    x, y = place_px - centre_px
     effects = np.zeros((4, STATE))
     effects[:2, :2] = np.eye(2)
     effects[:2, 2] = -y, x

@@ -99,13 +99,14 @@ def _row_state(measurement: Measurement) -> RowState:
     assert measurement.motion is not None  # noqa: S101 - asked before
     motion, raw = measurement.motion, {}
     if measurement.raw is not None:
-        raw[MAIN] = measurement.raw.covariance_mm2
-    raw |= {one.name: one.raw.covariance_mm2 for one in measurement.targets if one.raw is not None}
+        raw[MAIN] = measurement.raw
+    raw |= {one.name: one.raw for one in measurement.targets if one.raw is not None}
     believed = [one.name for one in measurement.targets if _is_believed(one)]
     return RowState(
         Pose.from_vectors(motion.rotation_rad, motion.translation_mm),
         motion.covariance,
-        raw,
+        {name: one.covariance_mm2 for name, one in raw.items()},
+        {name: one.mm for name, one in raw.items()},
         believed if measurement.closure is not None else (),
         measurement.diagnostics.corners_used,
         None if measurement.corrected is None else measurement.corrected.by_image_mm2,

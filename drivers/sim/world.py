@@ -328,7 +328,9 @@ class World:
         """`T_CMj_W`: through the rig, because the main camera is bolted to the sub-camera."""
         T_CM_CS, breath = self.geometry.T_CM_CS, state.breath
         T_CMj_CM0 = T_CM_CS.compose(state.T_CSj_CS0).compose(T_CM_CS.inverse())
-        seems_mm = _displacement_mm(plate, state) + breath.bending_mm(plate.distance_mm)
+        # Up is the same for all plates, however each is turned.
+        R_W_WM = plate.T_CM_W.R.T @ self._target.T_CM_W.R
+        seems_mm = _displacement_mm(plate, state) + R_W_WM @ breath.bending_mm(plate.distance_mm)
         moved = Pose(np.eye(3), seems_mm)
         return breath.T_CM_CM0.compose(T_CMj_CM0).compose(plate.T_CM_W).compose(moved)
 

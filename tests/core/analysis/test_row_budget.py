@@ -39,6 +39,7 @@ def state_of(measurement: Measurement) -> RowState:
         Pose.from_vectors(motion.rotation_rad, motion.translation_mm),
         motion.covariance,
         {"main": measurement.raw.covariance_mm2},
+        {"main": measurement.raw.mm},
         corners=measurement.diagnostics.corners_used,
         image_mm2=measurement.corrected.by_image_mm2,
     )
@@ -139,9 +140,11 @@ def conditioned(session: Session) -> tuple[Budget, np.ndarray, np.ndarray]:
     )
     joint = joint_shifts(shifts, site, site.main.centre_px, terms)
     both, alone = (close(joint, names)["main"].covariance_mm2 for names in (["abutment"], []))
-    raw = {one.target.name: raw_displacement(calibrated, one)[0].covariance_mm2 for one in targets}
+    raw = {one.target.name: raw_displacement(calibrated, one)[0] for one in targets}
+    covariances = {name: one.covariance_mm2 for name, one in raw.items()}
+    places = {name: one.mm for name, one in raw.items()}
     own = rig_motion(calibrated, board)
-    row = RowState(motion, own.covariance, raw, ("abutment",), len(view.index))
+    row = RowState(motion, own.covariance, covariances, places, ("abutment",), len(view.index))
     return row_budget(site, calibrated, row, terms), both, alone
 
 

@@ -7,10 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from core.discs.disc_finder import Discs
 from core.moment import Moment
-from core.rig.closure import JointShifts, close, closure_of, consistent, is_beyond
+from core.rig.calibrated_target import CalibratedTarget
+from core.rig.closure import JointShifts, close, closure_of, consistent, is_beyond, joint_shifts
+from core.rig.compensation import CommonShift, SeenTarget, Shifts, noise_share, raw_displacement
+from core.rig.propagation import mean_of, turn_and_scale_of
 from core.rig.stability import stability_terms
-from core.site import StabilityBudget
+from core.site import StabilityBudget, TargetRole
+from tests.core.places import seen_there
 from tests.core.scenes import small_site
 
 DAY_S = 86_400.0
@@ -124,3 +129,87 @@ def _sigma_mm(
     state = sum(np.diag(term.covariance) for term in terms)
     px2 = state[:2] + state[4:]
     return np.sqrt(px2 / 6.0**2).tolist()
+
+
+CENTRE_PX = np.array([480.0, 300.0])
+DISCS_PX = 60.0 * np.array([[-1.0, 0.7], [1.0, 0.7], [0.0, 0.0], [-1.0, -0.7], [1.0, -0.7]])
+PX_PER_MM = 3.0
+
+
+def _target(name: str, role: TargetRole | None, middle_px: list[float]) -> CalibratedTarget:
+    B = PX_PER_MM * np.diag([1.0, -1.0])
+    reference_px = np.array(middle_px) + DISCS_PX
+    return CalibratedTarget(name, role, reference_px, np.zeros(5), B, 22000.0, 0.0)
+
+
+def _shifts(grown: float, turned_rad: float, displaced_mm: np.ndarray) -> Shifts:
+    """What a main target and a fixed one show when the lens has grown and the camera rolled."""
+    equal = np.full(5, 0.2)
+    turn = np.array([[1.0, -turned_rad], [turned_rad, 1.0]])
+    values, places_px = [], []
+    targets = (_target("main", None, [300.0, 310.0]), _target("pier", TargetRole.FIXED, [620, 280]))
+    for target in targets:
+        true_px = target.reference_px + (target.B @ displaced_mm if target.role is None else 0.0)
+        now_px = CENTRE_PX + (1.0 + grown) * (true_px - CENTRE_PX) @ turn.T
+        sums = mean_of(equal)
+        if target.is_fixed:
+            sums = np.concatenate([sums, turn_and_scale_of(equal, target.reference_px)])
+        values.append(np.einsum("mka,ka->m", sums, now_px - target.reference_px))
+        places_px.append(now_px.mean(axis=0))
+    common = CommonShift(np.arange(5), equal, 0.0)
+    return Shifts(
+        targets,
+        (common, common),
+        (slice(0, 2), slice(2, 6)),
+        np.concatenate(values),
+        np.diag([*[1e-4] * 4, 1e-6, 1e-6]) ** 2,
+        np.zeros((6, 6)),
+        tuple(target.B for target in targets),
+        tuple(places_px),
+    )
+
+
+def test_a_lens_that_has_grown_scales_the_displacement_too() -> None:
+    """By a thousandth, as 14 K do: 5 mm would be wrong by 0.005 mm; the fixed target shows it."""
+    site = replace(
+        small_site(22000.0, stability=_only(main_scale_per_k=7e-5, cameras_urad_per_k=1.5)),
+        extra_targets=(),
+    )
+    terms = stability_terms(site, PX_PER_MM, Moment(0.0, 0.0), Moment(DAY_S, 14.0))
+    displaced_mm = np.array([0.5, 5.0])
+    shifts = _shifts(1e-3, 2e-5, displaced_mm)
+    found = close(joint_shifts(shifts, site, CENTRE_PX, terms), ["pier"])["main"]
+    np.testing.assert_allclose(found.mm, displaced_mm, atol=4e-4)
+    assert np.sqrt(np.diag(found.covariance_mm2)).max() < 1e-3
+
+
+def test_discs_that_a_lens_or_a_plate_turns_about_one_another_fit_all_the_same() -> None:
+    target = _target("pier", TargetRole.FIXED, [620.0, 280.0])
+    calibrated = seen_there(target.reference_px, target.B, target)
+    rng = np.random.default_rng(1)
+
+    def seen(points_px: np.ndarray) -> tuple[float, float]:
+        noise_px2 = np.tile(0.002**2 * np.eye(2), (5, 1, 1))
+        discs = Discs(np.ones(5, bool), points_px, noise_px2, np.ones(5), 100.0, 1.0)
+        raw, common = raw_displacement(calibrated, SeenTarget(target, discs))
+        return common.residual_px, PX_PER_MM * float(np.sqrt(raw.covariance_mm2[0, 0]))
+
+    away = target.reference_px - target.middle_px
+    noisy = target.reference_px + rng.normal(0.0, 0.002, (5, 2))
+    still_px, usual_px = seen(noisy)
+    changed_px, sigma_px = seen(noisy + 1e-3 * away + 3e-4 * away[:, ::-1] * [-1.0, 1.0])
+    assert changed_px == pytest.approx(still_px, abs=1e-5)
+    assert sigma_px == pytest.approx(usual_px, rel=1e-3)
+    assert seen(noisy + 5e-3 * away * [1.0, -1.0])[0] > 0.05  # squeezed, as no plate is
+
+
+def test_noise_is_as_predicted_in_the_mean_and_follows_what_is_seen() -> None:
+    """Only ever adding what is seen beyond the prediction would make it 1.4 times as large."""
+    rng = np.random.default_rng(2)
+    spread = rng.chisquare(6, 4000) / 6 * (1.0 + 0.8)
+    shares = [noise_share(1.0, 0.8, one, 6) for one in spread.tolist()]
+    assert np.mean(shares) == pytest.approx(1.0, abs=0.15)
+    assert noise_share(1.0, 0.8, 1.8, 6) == pytest.approx(1.0)
+    # Where discs scatter ten times as much as they should, most of it is believed.
+    assert 60.0 < noise_share(1.0, 0.8, 100.0, 6) < 100.0
+    assert 0.1 < noise_share(1.0, 0.0, 0.0, 6) < 0.5
