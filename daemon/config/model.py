@@ -256,6 +256,7 @@ class Config(Section):
             lens_model=self.camera.sub.model(),
             extra_targets=tuple(extra.extra_target() for extra in self.target.extra),
             stability=self.stability.budget(),
+            temperature_reading=self.stability.temperature_reading,
         )
 
     def burst_plan(self) -> BurstPlan:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 MOST_READINGS = 64
 PERIOD_SHARE = 0.5
 """Of the period, for sensors to answer in, before the slot."""
+TEMPERATURE_UNITS = ("degC", "K")
+"""Of a reading that tells the site's temperature: only its changes count."""
 _SOURCES = ("file", "command", "modbus")
 
 Words = Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Strict(strict=False)]
@@ -56,6 +58,18 @@ def reading_problems(config: Config) -> list[str]:
             _value_problem(config, reading),
         ]
         problems += [f"reading[{number}].{problem}" for problem in found if problem]
+    named = config.stability.temperature_reading
+    units = {reading.name: reading.unit for reading in config.reading}
+    if named is not None and named not in units:
+        known = ", ".join(units) or "none"
+        problems.append(
+            f"stability.temperature_reading: there is no reading {named!r}; known: {known}"
+        )
+    elif named is not None and units[named] not in TEMPERATURE_UNITS:
+        problems.append(
+            f"stability.temperature_reading: {named!r} is in {units[named]!r}; a temperature is in "
+            f"{' or '.join(TEMPERATURE_UNITS)}"
+        )
     return problems
 
 

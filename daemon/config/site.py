@@ -260,7 +260,8 @@ class StabilitySection(Section):
     sub_px_per_k: float = Field(default=_STABLE.sub_px_per_k, ge=0, le=10.0)
     air_gradient_k_per_m: float = Field(default=_STABLE.air_gradient_k_per_m, ge=0, le=100.0)
     temperature_range_k: float = Field(default=_STABLE.temperature_range_k, ge=0, le=100.0)
+    temperature_reading: str | None = None
 
     def budget(self) -> StabilityBudget:
         """Convert to the core's type."""
-        return StabilityBudget(**self.model_dump())
+        return StabilityBudget(**self.model_dump(exclude={"temperature_reading"}))

@@ -24,7 +24,7 @@ from core.seeing import SeenPair, see_pair
 from core.site import CameraGeometry, Site
 from daemon.store.database import Store
 from daemon.store.frames.archive import ArchivedPair, FrameArchive
-from daemon.store.records import DatumRecord, rig_temperature_c
+from daemon.store.records import DatumRecord, Reading, rig_temperature_c, values_of
 from daemon.times import slot_text
 from drivers.errors import FrameSetError, ImageMissingError
 from drivers.frameset import FramePath, FrameSetRow, read_image
@@ -149,11 +149,14 @@ def first_moment(pairs: Iterable[ImagePair | SlotPair]) -> Moment | None:
     return next((pair.moment for pair in pairs if pair.moment is not None), None)
 
 
-def image_pair(pair: CapturedPair, slot_utc: datetime) -> ImagePair:
-    """What the cameras gave for a slot."""
+def image_pair(
+    pair: CapturedPair, slot_utc: datetime, readings: Sequence[Reading] = ()
+) -> ImagePair:
+    """What the cameras gave for a slot, and the sensors."""
     main, sub = (GreyImage(frame.pixels, frame.bits) for frame in (pair.main, pair.sub))
     warm = rig_temperature_c(pair.main.temperature_c, pair.sub.temperature_c)
-    return ImagePair(main, sub, pair.skew_s, moment=Moment(slot_utc.timestamp(), warm))
+    moment = Moment(slot_utc.timestamp(), warm, values_of(readings))
+    return ImagePair(main, sub, pair.skew_s, moment=moment)
 
 
 def read_pair(files: PairFiles, site: Site) -> ImagePair:
@@ -176,9 +179,9 @@ def read_pair(files: PairFiles, site: Site) -> ImagePair:
 
 
 def row_moment(row: FrameSetRow) -> Moment:
-    """When a row of a frame set was taken, and how warm the rig was."""
+    """When a row of a frame set was taken, how warm the rig was, and what the sensors said."""
     warm = rig_temperature_c(row.main_temperature_c, row.sub_temperature_c)
-    return Moment(row.slot_utc.timestamp(), warm)
+    return Moment(row.slot_utc.timestamp(), warm, row.readings)
 
 
 def load_pairs(
@@ -200,7 +203,7 @@ def load_pairs(
             continue
         first = first or stored
         warm = rig_temperature_c(stored.main_camera.temperature_c, stored.sub_camera.temperature_c)
-        moment = Moment(slot_utc.timestamp(), warm)
+        moment = Moment(slot_utc.timestamp(), warm, stored.readings)
         pairs.append(ImagePair(stored.main, stored.sub, stored.skew_s, moment=moment))
     return pairs, first
 

@@ -105,8 +105,8 @@ def run_slot(
     try:
         stored = _keep_frames(context, slot_utc, shots, readings)
         calibration = active_calibration(context.store)
-        record = _measure_captured(context, slot_utc, shots, stored, calibration)
-        record = replace(record, clock_synchronised=synchronised, readings=readings)
+        record = _measure_captured(context, slot_utc, shots, stored, calibration, readings)
+        record = replace(record, clock_synchronised=synchronised)
         _follow_light(context, source, shots, record.measurement, calibration)
         add = context.store.add_undated if context.undated else context.store.add_measurement
         context.disk.with_room(lambda: add(record))
@@ -169,8 +169,9 @@ def _measure_captured(
     shots: Sequence[Shot],
     stored: StoredPair | None,
     calibration: ActiveCalibration | None,
+    readings: tuple[Reading, ...],
 ) -> MeasurementRecord:
-    pairs = [image_pair(shot.pair, slot_utc) for shot in shots]
+    pairs = [image_pair(shot.pair, slot_utc, readings) for shot in shots]
     first = shots[0].pair
     return MeasurementRecord(
         slot_utc=slot_utc,
@@ -186,6 +187,7 @@ def _measure_captured(
         uptime_s=context.machine.uptime_s() - (context.clock.monotonic_s() - shots[0].captured_s),
         main_camera=camera_state(first.main),
         sub_camera=camera_state(first.sub),
+        readings=readings,
     )
 
 

@@ -6,6 +6,7 @@ nothing reads the rows of a month one by one.
 
 from __future__ import annotations
 
+import json
 import math
 import sqlite3
 from collections.abc import Iterator
@@ -84,6 +85,11 @@ class TargetSummary:
 
 _OTHERS = "SELECT count(*) FROM calibration_activation WHERE calibration_id <> ?"
 """Of activations: how many there were of other calibrations."""
+
+
+def _moment(utc_s: float | None, celsius: float | None, readings: str | None) -> Moment | None:
+    """A calibration's reference, as its stored content has it."""
+    return None if utc_s is None else Moment(utc_s, celsius, json.loads(readings or "{}"))
 
 
 @contextmanager
@@ -216,7 +222,8 @@ class Overview:
             " json_extract(c.content, '$.setup.levels.sub_rms_px'),"
             " json_extract(c.content, '$.setup.levels.sub_contrast_dn'),"
             " json_extract(c.content, '$.reference.utc_s'),"
-            " json_extract(c.content, '$.reference.temperature_c')"
+            " json_extract(c.content, '$.reference.temperature_c'),"
+            " json_extract(c.content, '$.reference.readings')"
             " FROM calibration_activation a JOIN calibration c ON c.id = a.calibration_id"
             " ORDER BY a.id DESC LIMIT 1"
         )
@@ -235,7 +242,7 @@ class Overview:
             contrast_dn,
             self.datum(number),
             is_first=not value(self._connection, _OTHERS, number),
-            reference=None if moment[0] is None else Moment(*moment),
+            reference=_moment(*moment),
         )
 
     def fits(

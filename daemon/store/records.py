@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import date, datetime, timedelta
 from enum import StrEnum
@@ -84,6 +84,11 @@ class Reading:
     """Why there is no value."""
 
 
+def values_of(readings: Iterable[Reading]) -> dict[str, float]:
+    """The readings that have a value, by name."""
+    return {one.name: one.value for one in readings if one.value is not None}
+
+
 def rig_temperature_c(main_c: float | None, sub_c: float | None) -> float | None:
     """The temperature that stands for the rig's: the main camera's, or else the sub-camera's."""
     return sub_c if main_c is None else main_c
@@ -125,7 +130,8 @@ class MeasurementRecord:
     def moment(self) -> Moment:
         """When it was taken, and how warm the rig was."""
         main_c, sub_c = self.main_camera.temperature_c, self.sub_camera.temperature_c
-        return Moment(self.slot_utc.timestamp(), rig_temperature_c(main_c, sub_c))
+        warm = rig_temperature_c(main_c, sub_c)
+        return Moment(self.slot_utc.timestamp(), warm, self.reading_values)
 
     readings: tuple[Reading, ...] = ()
     """In the order of the config; empty where there are no sensors."""
@@ -133,7 +139,7 @@ class MeasurementRecord:
     @property
     def reading_values(self) -> dict[str, float]:
         """The readings that have a value, by name."""
-        return {one.name: one.value for one in self.readings if one.value is not None}
+        return values_of(self.readings)
 
 
 @dataclass(frozen=True, slots=True)

@@ -89,6 +89,15 @@ def test_readings_are_read_with_their_defaults(tmp_path: Path) -> None:
             '[pan_tilt]\nbackend = "ptu"\nport = "/dev/ttyUSB0"\n',
             "reading[0].modbus: /dev/ttyUSB0 is the pan-tilt head's port",
         ),
+        (
+            AIR + 'file = "/sys/air"\n[stability]\ntemperature_reading = "steel"\n',
+            "stability.temperature_reading: there is no reading 'steel'; known: air",
+        ),
+        (
+            AIR.replace("degC", "hPa")
+            + 'file = "/sys/air"\n[stability]\ntemperature_reading = "air"\n',
+            "stability.temperature_reading: 'air' is in 'hPa'; a temperature is in degC or K",
+        ),
     ],
 )
 def test_what_is_wrong_is_said_with_its_key(tmp_path: Path, text: str, problem: str) -> None:
