@@ -47,8 +47,8 @@ _BUDGET_KEYS = (
     ("air_gradient_k_per_m", "K/m"),
 )
 """The key of [stability] behind each of `stability_terms`, and its unit."""
-_LEAST_SHARE = 1e-4
-"""Of the scatter that the raw displacement shows, for the discs' own noise."""
+_LEAST_SHARE, _MOST_SHARE = 1e-4, 4.0
+"""Of the noise that the raw displacement shows, for that of the corrected one's discs."""
 
 
 def row_budget(
@@ -142,9 +142,9 @@ class _ValueErrors:
         return np.asarray(_keep(covariance) @ self.to_mm)
 
     def disc_share(self, image_mm2: FloatArray | None) -> float:
-        """What of the raw scatter is the discs' own noise, so that the row's image part comes out.
+        """By what the noise that raw discs show is to be multiplied for the row's image part.
 
-        A roll of the rig scatters raw discs, too, and is taken off before they are corrected.
+        Discs scatter a little otherwise once the rig's motion is off.
         """
         if image_mm2 is None:
             return 1.0
@@ -155,12 +155,12 @@ class _ValueErrors:
             keep = self.keep(share)
             return float(np.trace(keep @ (self.discs(share) + others) @ keep.T - image_mm2))
 
-        least = math.log(_LEAST_SHARE)
-        if excess(0.0) <= 0.0:
-            return 1.0
+        least, most = math.log(_LEAST_SHARE), math.log(_MOST_SHARE)
+        if excess(most) <= 0.0:
+            return _MOST_SHARE
         if excess(least) >= 0.0:
             return _LEAST_SHARE
-        return math.exp(float(optimize.brentq(excess, least, 0.0, xtol=1e-3)))
+        return math.exp(float(optimize.brentq(excess, least, most, xtol=1e-3)))
 
 
 def _value_errors(
