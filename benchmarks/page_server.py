@@ -13,10 +13,13 @@ ROOT = Path(__file__).parents[1]
 
 
 @contextmanager
-def serving(config: Path, state: Path) -> Iterator[str]:
-    """Run `dcam-web` on a free port while the block runs; gives its address."""
+def serving(config: Path, state: Path | None) -> Iterator[str]:
+    """Run `dcam-web` on a free port while the block runs; gives its address.
+
+    Without a state directory it is that of the config, or all sites of a central database.
+    """
     command = [sys.executable, "-m", "daemon.web_main", "--port", "0"]
-    where = ["--config", str(config), "--state", str(state)]
+    where = ["--config", str(config), *([] if state is None else ["--state", str(state)])]
     with subprocess.Popen(
         [*command, *where], cwd=ROOT, stderr=subprocess.PIPE, text=True
     ) as process:
@@ -31,7 +34,7 @@ def _address(process: subprocess.Popen[str]) -> str:
     said = []
     for line in process.stderr or ():
         said.append(line)
-        if found := re.search(r"(http://\S+?)/ shows the record", line):
+        if found := re.search(r"(http://\S+?)/ shows (the record|all sites)", line):
             return found[1]
     msg = f"dcam-web does not serve: {''.join(said)}"
     raise RuntimeError(msg)

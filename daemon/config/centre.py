@@ -31,6 +31,8 @@ class Centre:
     path: Path
     fleet: FleetSection
     web: WebSection
+    only_reads: bool
+    """There is no site in the file."""
 
 
 def load_centre(path: Path) -> Centre:
@@ -38,11 +40,11 @@ def load_centre(path: Path) -> Centre:
     data = read_toml(path)
     if "site" in data or "camera" in data:
         config = config_of(data, path)
-        return Centre(path, config.fleet, config.web)
+        return Centre(path, config.fleet, config.web, only_reads=False)
     try:
         said = CentreSection.model_validate(data, context={"directory": path.absolute().parent})
     except ValidationError as error:
         raise ConfigError(*describe_problems(error, CentreSection, path)) from None
     if problems := said.fleet.problems() + web_problems(said.web):
         raise ConfigError(*(f"{path}: {problem}" for problem in problems))
-    return Centre(path, said.fleet, said.web)
+    return Centre(path, said.fleet, said.web, only_reads=True)

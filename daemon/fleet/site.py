@@ -12,6 +12,7 @@ from daemon.config.outputs import FleetSection
 from daemon.errors import UsageError
 from daemon.fleet.opening import opened
 from daemon.outputs.row_fields import slug
+from daemon.store.columns import Tell
 
 if TYPE_CHECKING:
     from daemon.fleet.verdict import SiteVerdict
@@ -25,9 +26,14 @@ class FetchedSite:
     state: Path
     config: Path
     """What the pier shares of its own."""
+    verdict: SiteVerdict
+    status: Mapping[str, Any]
+    """What its pier said of itself, as `status --json`; empty where it has not."""
 
 
-def fetch(settings: FleetSection, name: str) -> FetchedSite:
+def fetch(
+    settings: FleetSection, name: str, tell: Tell = lambda _done, _total: None
+) -> FetchedSite:
     """Bring the copy of a site's record up to date.
 
     Raises UsageError for a name that is none; ConfigError, StoreError, OSError.
@@ -37,10 +43,11 @@ def fetch(settings: FleetSection, name: str) -> FetchedSite:
     with opened(settings) as central:
         site = _known(central, name)
         state = cache_directory() / slug(name)
-        fetch_site(central, site, state)
+        fetch_site(central, site, state, tell)
+        verdict, status = site_verdict(central, name, settings.silent_min * 60.0)
     config = state / "dcam.toml"
     config.write_text(site["config"] or "", encoding="utf-8")
-    return FetchedSite(state, config)
+    return FetchedSite(state, config, verdict, status)
 
 
 def site_verdict(
@@ -68,5 +75,14 @@ def _known(central: Central, name: str) -> Mapping[str, Any]:
 
 def cache_directory() -> Path:
     """Where copies are kept; whoever removes them has them fetched again."""
+    return _cache() / "fleet"
+
+
+def pages_directory() -> Path:
+    """Where dcam-web keeps what it works out of each copy."""
+    return _cache() / "pages"
+
+
+def _cache() -> Path:
     base = os.environ.get("CACHE_DIRECTORY") or os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "dcam" / "fleet"
+    return (Path(base) if base else Path.home() / ".cache") / "dcam"

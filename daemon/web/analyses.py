@@ -55,6 +55,10 @@ class Analyses:
         made_s, said = self._kept.get(key, (-KEPT_S, None))
         return said if time.monotonic() - made_s < KEPT_S else None
 
+    def end(self) -> None:
+        """As `Worker.end`."""
+        self._worker.end()
+
     async def close(self) -> None:
         """End the process."""
         await self._worker.close()

@@ -12,20 +12,16 @@ from typing import Any
 
 import anyio
 import anyio.to_thread
-from jinja2 import Environment, FileSystemLoader
 from starlette.applications import Starlette
-from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
+from starlette.responses import FileResponse, HTMLResponse, Response
 from starlette.routing import Route
-from starlette.types import Scope
 
 from daemon.errors import StoreError
 from daemon.preview.shown import Shown
 from daemon.times import slot_text
-from daemon.version import VERSION
 from daemon.web import asking, slots
 from daemon.web.aim import StoredLook, live_fields
 from daemon.web.analyses import Analyses, analysis_asked, span_fields
@@ -39,9 +35,9 @@ from daemon.web.record import Record
 from daemon.web.series import MOST_BUCKETS, Asked, newest_entry, quantities_of, series, spans
 from daemon.web.settings import Settings
 from daemon.web.static_files import StaticFiles
+from daemon.web.views import HERE, Views, texts_of
 from daemon.web.worker import Worker, WorkerError
 
-HERE = Path(__file__).parent
 THREADS = 4
 """For questions to the database: more would only take memory."""
 FRAMES_DEADLINE_S = 180.0
@@ -70,34 +66,11 @@ class Page:
         )
         self.analyses = Analyses(settings)
         self.stored = StoredLook(self.record, self.worker)
-        self._environment = Environment(
-            loader=FileSystemLoader(HERE / "templates"), autoescape=True, auto_reload=False
-        )
-        self._texts = _texts(self.config.web.language)
+        language = self.config.web.language
+        timezone = self.config.site_section.timezone or "UTC"
+        self.views = Views(self.config.name, timezone, language, texts_of(language))
 
     # HTML
-
-    def html(self, page: str, status: int = 200, **context: object) -> HTMLResponse:
-        """A page."""
-        text = self._environment.get_template(f"{page}.html").render(
-            page=page,
-            site=self.config.name,
-            t=self._texts,
-            language=self.config.web.language,
-            timezone=self.config.site_section.timezone or "UTC",
-            version=VERSION,
-            **context,
-        )
-        return HTMLResponse(text, status)
-
-    def message(self, scope: Scope, status: int, text: str) -> Response:
-        """Say what is wrong, to a browser or to a program."""
-        path, accepted = str(scope["path"]), Headers(scope=scope).get("accept", "")
-        if path.startswith(("/api/", "/frames/")) or "text/html" not in accepted:
-            return JSONResponse({"error": text}, status)
-        titles = {401: "title_login", 404: "title_not_found"}
-        title = self._texts.get(titles.get(status, ""), f"{status}")
-        return self.html("message", status, title=title, text=text, login=status == 401)
 
     def overview_page(self, _request: Request) -> HTMLResponse:
         """The first page, with what its figures need to begin: one request less before them."""
@@ -105,7 +78,7 @@ class Page:
             site = json.loads(as_json(self.overviews.site()))
         except (StoreError, OSError):  # the page asks again, and says why
             site = None
-        return self.html("overview", begin=site)
+        return self.views.html("overview", begin=site)
 
     # JSON
 
@@ -162,6 +135,10 @@ class Page:
 
     def days(self, request: Request) -> Response:
         """Answer `/api/days`."""
+        return self.answer_days(request, pictures=True)
+
+    def answer_days(self, request: Request, *, pictures: bool) -> Response:
+        """Days, with a picture of each where there may be any."""
         only(request.query_params, "since", "until")
         since, until = asking.span(request.query_params, lambda: self._last(60))
         if (until - since).days > slots.MOST_DAYS:
@@ -171,7 +148,10 @@ class Page:
         pyramid, span = self.follower.pyramid, self.record.span()
         now_utc = span[1] if span and self.config.has_stepped_clock else datetime.now(UTC)
         return self.answer(
-            request, lambda: slots.days(pyramid, self.config, span, since, until, now_utc)
+            request,
+            lambda: slots.days(
+                pyramid, self.config, span, since, until, now_utc, pictures=pictures
+            ),
         )
 
     def listed(
@@ -207,6 +187,10 @@ class Page:
 
     def _last_week(self) -> tuple[datetime, datetime]:
         return self._last(7)
+
+    def offers(self, _path: str) -> bool:
+        """Whether there is such an address."""
+        return True
 
     # Long work
 
@@ -294,16 +278,6 @@ def _is_8_bit(path: Path) -> bool:
     return head[:8] == b"\x89PNG\r\n\x1a\n" and head[24:25] == b"\x08"
 
 
-def _texts(language: str) -> dict[str, str]:
-    """All texts of the page: English where a language has none."""
-    texts: dict[str, str] = {}
-    for name in ("en", language):
-        path = HERE / "static" / "strings" / f"{name}.json"
-        if path.is_file():
-            texts |= json.loads(path.read_text(encoding="utf-8"))
-    return texts
-
-
 def build_app(settings: Settings, live: Shown | None = None) -> Starlette:
     """The page of a site; with cameras that this process holds its aiming is live."""
     page = Page(settings, live)
@@ -319,46 +293,57 @@ def build_app(settings: Settings, live: Shown | None = None) -> Starlette:
             await page.analyses.close()
             await anyio.to_thread.run_sync(page.follower.stop)
 
+    return Starlette(
+        routes=_routes(page),
+        middleware=[Middleware(Guard, settings=settings, refuse=page.views.message)],
+        exception_handlers=handlers(page.views),
+        lifespan=lifespan,
+    )
+
+
+def site_app(page: Page) -> Starlette:
+    """The page of one of many sites; whoever starts it guards it, and starts its follower."""
+    return Starlette(routes=_routes(page), exception_handlers=handlers(page.views))
+
+
+def handlers(views: Views) -> dict[Any, Any]:
+    """What is said of what goes wrong."""
+
     async def wrong(request: Request, error: Exception) -> Response:
-        return page.message(request.scope, 400, str(error))
+        return views.message(request.scope, 400, str(error))
 
     async def unreadable(request: Request, error: Exception) -> Response:
-        return page.message(request.scope, 503, str(error))
+        return views.message(request.scope, 503, str(error))
 
     async def refused(request: Request, error: Exception) -> Response:
         status = error.status_code if isinstance(error, HTTPException) else 500
         text = error.detail if isinstance(error, HTTPException) else "internal error"
         text = "there is no such page" if text == "Not Found" else text
-        return page.message(request.scope, status, text)
+        return views.message(request.scope, status, text)
 
-    return Starlette(
-        routes=_routes(page),
-        middleware=[Middleware(Guard, settings=settings, refuse=page.message)],
-        exception_handlers={
-            AskedWronglyError: wrong,
-            StoreError: unreadable,
-            OSError: unreadable,
-            WorkerError: unreadable,
-            HTTPException: refused,
-        },
-        lifespan=lifespan,
-    )
+    return {
+        AskedWronglyError: wrong,
+        StoreError: unreadable,
+        OSError: unreadable,
+        WorkerError: unreadable,
+        HTTPException: refused,
+    }
 
 
 def _routes(page: Page) -> list[Route]:
     def shown(name: str) -> Callable[[Request], Response]:
-        return lambda _request: page.html(name)
+        return lambda _request: page.views.html(name)
 
     def slot_page(request: Request) -> Response:
-        return page.html("slot", slot_utc=slot_text(asking.slot(request.path_params["slot"])))
+        return page.views.html("slot", slot_utc=slot_text(asking.slot(request.path_params["slot"])))
 
     def calibration_page(request: Request) -> Response:
-        return page.html("calibration", number=request.path_params["number"])
+        return page.views.html("calibration", number=request.path_params["number"])
 
     def metrics(_request: Request) -> Response:
         return Response(page.metrics.text(), media_type=CONTENT_TYPE)
 
-    return [
+    routes = [
         Route("/", page.overview_page),
         Route("/metrics", metrics),
         *(Route(f"/{name}", shown(name)) for name in _PAGES),
@@ -384,3 +369,4 @@ def _routes(page: Page) -> list[Route]:
         Route("/frames/{slot}/{role}", page.frame),
         Route("/static/{path:path}", StaticFiles(HERE / "static").answer),
     ]
+    return [route for route in routes if page.offers(route.path)]

@@ -12,7 +12,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from daemon.web.settings import Settings
+from daemon.web.settings import Settings, Viewers
 
 COOKIE = "dcam"
 MOST_QUERY = 4096
@@ -41,7 +41,7 @@ def host_name(host: str) -> str:
 class Guard:
     """Refuses other hosts (DNS rebinding), other methods, and who has no token."""
 
-    def __init__(self, app: ASGIApp, settings: Settings, refuse: MessagePage) -> None:
+    def __init__(self, app: ASGIApp, settings: Settings | Viewers, refuse: MessagePage) -> None:
         self._app = app
         self._settings = settings
         self._refuse = refuse

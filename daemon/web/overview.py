@@ -124,13 +124,13 @@ def alarm_fields(settings: Settings) -> list[dict[str, Any]]:
 
 
 def _judged(items: list[Item]) -> dict[str, Any]:
-    level = worst(items)
-    return {
-        "verdict": {"level": int(level), "word": _WORDS[level]},
-        "items": [
-            {"name": item.name, "level": int(item.level), "text": item.text} for item in items
-        ],
-    }
+    said = [{"name": one.name, "level": int(one.level), "text": one.text} for one in items]
+    return verdict_fields(worst(items), said)
+
+
+def verdict_fields(level: Level, items: list[dict[str, Any]]) -> dict[str, Any]:
+    """A verdict and what it rests on."""
+    return {"verdict": {"level": int(level), "word": _WORDS[level]}, "items": items}
 
 
 def _last(facts: Facts) -> dict[str, Any] | None:

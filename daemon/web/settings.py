@@ -10,10 +10,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from daemon.config.reading import Installation
+from daemon.config.web import WebSection
 from daemon.errors import HardwareError
 from daemon.file_errors import file_error_text
 
 LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "[::1]"})
+
+
+@dataclass(frozen=True, slots=True)
+class Viewers:
+    """Who may look."""
+
+    token: str | None = field(default=None, repr=False)
+    hosts: frozenset[str] = LOOPBACK_NAMES
+    """Names that a browser may ask for, without the port, in small letters."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,13 +45,18 @@ class Settings:
 
 def settings_of(site: Installation) -> Settings:
     """What `[web]` says. Raises ConfigError, HardwareError."""
-    web = site.config.web
+    who = viewers(site.config.web)
+    return Settings(site, cache_directory(site.state_directory), who.token, who.hosts)
+
+
+def viewers(web: WebSection) -> Viewers:
+    """Who may look, as `[web]` says. Raises ConfigError."""
     names = {name.lower() for name in web.hosts}
     plain = {f"[{name}]" if name.count(":") > 1 and "[" not in name else name for name in names}
     hosts = frozenset(plain) if plain else LOOPBACK_NAMES
     if web.is_loopback:
         hosts |= LOOPBACK_NAMES
-    return Settings(site, cache_directory(site.state_directory), web.secret(), hosts)
+    return Viewers(web.secret(), hosts)
 
 
 def cache_directory(state: Path, environ: Mapping[str, str] = os.environ) -> Path:

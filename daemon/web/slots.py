@@ -72,9 +72,9 @@ def frame_url(record: Record, slot_utc: datetime, role: str) -> str | None:
 
 def days(
     pyramid: Pyramid, config: Config, span: tuple[datetime, datetime] | None,
-    since: datetime, until: datetime, now_utc: datetime,
+    since: datetime, until: datetime, now_utc: datetime, *, pictures: bool,
 ) -> dict[str, Any]:  # fmt: skip
-    """Days of a span: extremes and mean of the main target, completeness, a picture."""
+    """Days of a span: extremes and mean of the main target, completeness, a picture if wanted."""
     first = (int(seconds(since)) - EPOCH_S) // DAY_S
     count = (int(seconds(until)) - EPOCH_S - 1) // DAY_S - first + 1
     known = pyramid.read_days(first, count)
@@ -97,7 +97,7 @@ def days(
                 **{axis: _extremes(buckets[place]) for axis, buckets in axes.items()},
                 "completeness": min(int(day["rows"]) / expected, 1.0) if expected else 1.0,
                 "flag": int(day["worst"]) or int(Flag.MISSING),
-                "thumbnail": f"/frames/{frame}/main?width=160" if frame else None,
+                "thumbnail": f"/frames/{frame}/main?width=160" if frame and pictures else None,
                 "slot": frame,
             }
         )

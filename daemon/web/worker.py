@@ -99,6 +99,13 @@ class Worker:
                 self._process.kill()
         self._process = None
 
+    def end(self) -> None:
+        """End the process, from any thread; the next question starts another."""
+        process = self._process
+        if process is not None and process.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()
+
     async def close(self) -> None:
         """End the process."""
         if self._idle is not None:

@@ -65,11 +65,15 @@ def _append(
 
 
 def _mirror(connection: Connection, copy: sqlite3.Connection, table: Table, site_id: int) -> None:
+    """Whoever reads meanwhile sees the table as it was, or as it is now."""
     query = select(table).where(table.c.site_id == site_id)
+    found = [row for rows in _batches(connection, query, table) for row in rows]
+    copy.execute("BEGIN IMMEDIATE").close()
     if table.name in CHANGING:
         copy.execute(f"DELETE FROM {table.name}").close()  # noqa: S608 - our own names
-    for rows in _batches(connection, query, table):
-        _insert(copy, table.name, rows)
+    if found:
+        _add(copy, table.name, found)
+    copy.execute("COMMIT").close()
 
 
 def _batches(connection: Connection, query: Any, table: Table) -> Iterator[list[dict[str, Any]]]:
@@ -79,9 +83,13 @@ def _batches(connection: Connection, query: Any, table: Table) -> Iterator[list[
 
 
 def _insert(copy: sqlite3.Connection, table: str, rows: Sequence[Mapping[str, Any]]) -> None:
+    copy.execute("BEGIN IMMEDIATE").close()
+    _add(copy, table, rows)
+    copy.execute("COMMIT").close()
+
+
+def _add(copy: sqlite3.Connection, table: str, rows: Sequence[Mapping[str, Any]]) -> None:
     names = list(rows[0])
     places = ", ".join("?" * len(names))
     query = f"INSERT OR IGNORE INTO {table} ({', '.join(names)}) VALUES ({places})"  # noqa: S608
-    copy.execute("BEGIN IMMEDIATE").close()
     copy.executemany(query, ([row[name] for name in names] for row in rows)).close()
-    copy.execute("COMMIT").close()

@@ -1,7 +1,7 @@
 // The days as a filmstrip.
 
 import { followBuilding } from "./building.js";
-import { el, epoch, fill, fixed, getJson, iso, percent, svg, t, table } from "./page.js";
+import { at, el, epoch, fill, fixed, getJson, iso, percent, svg, t, table } from "./page.js";
 
 const node = document.getElementById("days");
 const DAYS = 60;
@@ -20,7 +20,7 @@ const bar = (day, low, high) => {
 const card = (day, low, high) => {
   const until = iso(Date.parse(`${day.day}T00:00:00Z`) / 1000 + DAY_S);
   return el("li", { class: `day flag-edge-${day.flag}` },
-    el("a", { href: `/#since=${day.day}T00:00:00Z&until=${until}` },
+    el("a", { href: at(`/#since=${day.day}T00:00:00Z&until=${until}`) },
       el("span", { class: "day-name" }, day.day),
       el("span", { class: "day-row" },
         day.thumbnail ? el("img", { src: day.thumbnail, alt: "", loading: "lazy" }) : el("span", { class: "no-picture" }, t("no_picture")),

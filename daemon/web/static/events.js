@@ -1,6 +1,6 @@
 // Alarms, gaps, ledger and events as tables.
 
-import { below, el, epoch, getJson, iso, t, table, timeElement } from "./page.js";
+import { at, below, el, epoch, getJson, iso, t, table, timeElement } from "./page.js";
 
 const page = document.getElementById("events-page");
 const section = (name) => document.getElementById(name);
@@ -8,7 +8,7 @@ const section = (name) => document.getElementById(name);
 const link = (start, end) => {
   const [from, to] = [epoch(start), epoch(end ?? start)];
   const margin = Math.max(0.5 * (to - from), 1800);
-  return el("a", { href: `/#since=${iso(from - margin)}&until=${iso(to + margin)}` }, t("show_in_record"));
+  return el("a", { href: at(`/#since=${iso(from - margin)}&until=${iso(to + margin)}`) }, t("show_in_record"));
 };
 
 const PARTS = {

@@ -20,7 +20,7 @@ const openSlot = async (slot) => {
   return showSlot(view, slot, openSlot);
 };
 view.addEventListener("click", (event) => {
-  if (event.target.closest("a[href^='/#']")) dialog.close();
+  if (event.target.closest("a[href*='/#']")) dialog.close();
 });
 
 // How it is doing

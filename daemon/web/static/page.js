@@ -129,10 +129,13 @@ zoneChanged();
 
 // The server
 
+/** An address of this site's page: in the page of many sites each is below its own place. */
+export const at = (path) => `${root.dataset.root}${path}`;
+
 /** The answer to a GET; throws an Error with the server's own line. */
 export const getJson = async (path, parameters = {}, signal = undefined) => {
   const query = new URLSearchParams(parameters).toString();
-  const answer = await fetch(query ? `${path}?${query}` : path, { signal, headers: { Accept: "application/json" } });
+  const answer = await fetch(at(query ? `${path}?${query}` : path), { signal, headers: { Accept: "application/json" } });
   if (answer.ok) return answer.json();
   let text = `${answer.status} ${answer.statusText}`;
   try {

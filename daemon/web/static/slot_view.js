@@ -1,6 +1,6 @@
 // One slot: its two frames with the targets drawn in, and its numbers.
 
-import { el, epoch, fill, fixed, flagElement, getJson, iso, svg, t, table, timeElement, timeText, withSigma } from "./page.js";
+import { at, el, epoch, fill, fixed, flagElement, getJson, iso, svg, t, table, timeElement, timeText, withSigma } from "./page.js";
 
 const NUMBER_DIGITS = 6;
 
@@ -121,14 +121,14 @@ export const showSlot = async (node, slot, go) => {
     const seconds = epoch(answer.slot ?? slot);
     const frames = ["main", "sub"].map((role) => new Frame(role, answer.frames?.[role] ?? null, timeText(seconds, "second")));
     const step = (name, to) => el("button", { type: "button", "data-go": name, disabled: !to, onclick: () => go(iso(epoch(to))) }, t(name));
-    const around = `/#since=${iso(seconds - 43200)}&until=${iso(seconds + 43200)}`;
+    const around = at(`/#since=${iso(seconds - 43200)}&until=${iso(seconds + 43200)}`);
     const focused = node.contains(document.activeElement) ? document.activeElement.dataset.go : null;
     node.replaceChildren(
       el("div", { class: "slot-head" },
         el("h2", {}, timeElement(seconds, "second")), flagElement(answer.flag), el("span", {}, reasonsText(answer.reasons)),
         el("span", { class: "buttons" }, step("previous", answer.previous), step("next", answer.next),
-          el("a", { href: `/slot/${encodeURIComponent(slot)}` }, t("as_page")), el("a", { href: around }, t("in_record")),
-          answer.calibration ? el("a", { href: `/calibrations/${answer.calibration}` }, `${t("calibration")} ${answer.calibration}`) : null)),
+          el("a", { href: at(`/slot/${encodeURIComponent(slot)}`) }, t("as_page")), el("a", { href: around }, t("in_record")),
+          answer.calibration ? el("a", { href: at(`/calibrations/${answer.calibration}`) }, `${t("calibration")} ${answer.calibration}`) : null)),
       el("div", { class: "cameras" }, frames.map((frame) => frame.node)),
       ...[points(answer), numbers(answer)].filter(Boolean));
     if (focused) node.querySelector(`[data-go="${focused}"]:enabled`)?.focus();
