@@ -9,7 +9,8 @@ const MOST_ROWS = 200;
 const [WIDTH, HEIGHT, MARGIN] = [1000, 560, 40];
 const KM_PER_DEG = 111.32;
 const LEAST_KM = 1;
-const [LABEL_PX, LETTER_PX] = [14, 7.5];
+const [RADIUS, LABEL_PX, LETTER_PX] = [6, 14, 7.5];
+const MOST_NAMES = 200;
 
 // The map: a degree of longitude is narrower than one of latitude, as it is in the middle of the sites.
 
@@ -41,10 +42,10 @@ const scaleBar = (pxPerKm) => {
     svg("text", { x: MARGIN + km * pxPerKm + 8, y }, text));
 };
 
-/** Names beside their marks, where they have room; the worst come first. */
+/** Names beside their marks, where they cover nothing; the worst come first. */
 const labels = (marks) => {
-  const taken = [];
-  return marks.map(({ site, x, y }) => {
+  const taken = marks.map(({ x, y }) => [x - RADIUS, y - RADIUS, x + RADIUS, y + RADIUS]);
+  return marks.slice(0, MOST_NAMES).map(({ site, x, y }) => {
     const wide = site.site.length * LETTER_PX;
     const left = x + 9 + wide > WIDTH ? x - 9 - wide : x + 9;
     const box = [left, y - LABEL_PX / 2, left + wide, y + LABEL_PX / 2];
@@ -61,7 +62,7 @@ const drawMap = (sites) => {
   const marks = there.map((site) => { const [x, y] = place(site); return { site, x, y }; });
   const circles = [...marks].reverse().map(({ site, x, y }) => // the worst lie on top
     svg("a", { href: site.page },
-      svg("circle", { class: `level-${site.level}`, cx: x, cy: y, r: 6 },
+      svg("circle", { class: `level-${site.level}`, cx: x, cy: y, r: RADIUS },
         svg("title", {}, `${site.site}: ${t(`level_${site.level}`)}; ${site.text}`))));
   const without = sites.filter((site) => site.latitude_deg === null).map(({ site }) => site);
   const named = without.slice(0, 20).join(", ") + (without.length > 20 ? ", ..." : "");
