@@ -92,11 +92,12 @@ def detect_board(image: GreyImage, board: Board) -> LocatedBoard:
 
     Raises TargetNotFoundError.
 
-    >>> squares = np.indices((7, 10)).sum(axis=0) % 2  # the first one is black
-    >>> pixels = np.pad(np.kron(squares, np.full((30, 30), 200, np.uint8)), 20, constant_values=200)
+    >>> squares = 200 * (np.indices((7, 10)).sum(axis=0) % 2)  # the first one is black
+    >>> pixels = np.kron(np.pad(squares, 1, constant_values=200), np.ones((30, 30)))
+    >>> pixels = pixels.astype(np.uint8)
     >>> found = detect_board(GreyImage(pixels), Board.of_squares(10, 7, 30.0))
     >>> len(found.view.index), found.unambiguous, found.view.points_px[0].round(2).tolist()
-    (54, True, [49.5, 49.5])
+    (54, True, [59.5, 59.5])
     """
     height, width = image.pixels.shape
     indexed = index_by_borders(_lattice(image), board, width, height)
