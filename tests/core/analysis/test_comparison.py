@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.bridges import remembering
 from core.analysis.comparison import TimedValues, Zero, compare
 
 DAY_S = 86_400.0
@@ -81,6 +82,26 @@ def test_a_lag_is_found_within_its_confidence(lag_min: float) -> None:
         assert found.lag.sigma_s < 360.0
         within += abs(found.lag.lag_s - 60.0 * lag_min) < 2.0 * found.lag.sigma_s
     assert within >= 8
+
+
+def test_errors_that_last_for_hours_widen_the_lag() -> None:
+    """Weather of eight hours beside hourly LiDAR is not as many errors as there are hours."""
+    within = 0
+    times_s = np.arange(0.5, 9.5, 1.0 / 24.0) * DAY_S
+    for seed in range(20):
+        weather = remembering(np.random.default_rng(seed), len(MINUTES), 0.1, 48.0)
+        ours = rows(seed=seed + 100)
+        record = TimedValues(MINUTES, ours.values_mm + weather, ours.sigma_mm)
+        found = compare(
+            record,
+            survey(times_s, wave(times_s - 1800.0), 0.05, seed),
+            window_s=300.0,
+            max_lag_s=4 * 3600.0,
+        )
+        assert found is not None
+        assert found.lag is not None
+        within += abs(found.lag.lag_s - 1800.0) < 2.0 * found.lag.sigma_s
+    assert within >= 17
 
 
 def test_no_lag_is_given_that_the_movement_does_not_show() -> None:
