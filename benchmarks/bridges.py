@@ -46,6 +46,11 @@ class Bridge:
     mm_per_kelvin: float = 0.25
     lag_h: float = 2.0
     first_order: bool = False
+    slow_share: float = 0.0
+    """Of the response that comes through a second mass, behind `slow_h` instead."""
+    slow_h: float = 24.0
+    unseen_mm: float = 0.0
+    """Standard deviation of what a warmth that no sensor shows does, of the sun and clouds."""
     trend_mm_per_year: float = 0.0
     step_day: float | None = None
     step_mm: float = 0.0
@@ -83,6 +88,9 @@ def make(bridge: Bridge, seed: int) -> Made:
     y_mm += remembering(rng, n, bridge.fast_mm, bridge.fast_minutes)
     y_mm += remembering(rng, n, bridge.slow_mm, bridge.slow_days * _MINUTES)
     y_mm += bridge.trend_mm_per_year * days / 365.25
+    if bridge.unseen_mm:
+        clouds = 1.0 + remembering(rng, n, 0.7, 1.5 * _MINUTES)
+        y_mm += bridge.unseen_mm * np.sqrt(2.0) * clouds * np.sin(2.0 * np.pi * (days - 0.3))
     if bridge.step_day is not None:
         y_mm += bridge.step_mm * (days >= bridge.step_day)
     if bridge.drift_day is not None:
@@ -110,13 +118,22 @@ def _temperatures(
     deck = season + weather + 6.0 * sun * np.sin(2.0 * np.pi * (days - 0.35))
     deck += remembering(rng, n + before, 0.5, 60.0)
     if bridge.first_order:
-        step = 1.0 / 60.0 / bridge.lag_h
-        left = np.exp(-step)  # exact for lines from minute to minute
-        now = 1.0 - (1.0 - left) / step
-        behind = lfilter([now, 1.0 - left - now], [1.0, -left], deck - deck[0]) + deck[0]
+        behind = _first_order(deck, bridge.lag_h)
     else:
         behind = np.interp(hours - bridge.lag_h, hours, deck)
+    slow = _first_order(deck, bridge.slow_h)
+    behind = (1.0 - bridge.slow_share) * behind + bridge.slow_share * slow
     return deck[before:], behind[before:]
+
+
+def _first_order(values: FloatArray, lag_h: float) -> FloatArray:
+    """Values of minutes behind a first-order lag; exact for lines from minute to minute."""
+    step = 1.0 / 60.0 / lag_h
+    left = np.exp(-step)
+    now = 1.0 - (1.0 - left) / step
+    found: FloatArray = lfilter([now, 1.0 - left - now], [1.0, -left], values - values[0])
+    found += values[0]
+    return found
 
 
 CREEP_LAWS = ("logarithmic", "power", "double-exponential", "eurocode2", "aci209")

@@ -2,7 +2,8 @@
 
 Of each reading either a pure shift, d(t) = c T(t - lag), which may be negative (the sun reaches the
 deck before it warms the sensor), or a first-order lag, lag dF/dt = T - F, d = c F (steel and
-concrete behind an air temperature); the one that explains more is taken.
+concrete behind an air temperature); the one that explains more is taken. Beside it a second mass
+behind a longer first-order lag, if that is there beyond doubt: a deck and its girder.
 """
 
 from __future__ import annotations
@@ -43,10 +44,25 @@ _ZOOMS = 4
 """How often the lags tried close in on the best."""
 _ZOOMED = 9
 """Lags tried from the second time on."""
+_SEARCHED_SLOW = 24.0
+"""The same where slow masses are sought too."""
+_SLOW_H = 4.0
+"""First-order lag from which on a second mass is sought."""
+_SLOWER = 3.0
+"""And how many times that of the quick part. Chosen: nearer ones cannot be told apart."""
+_CLEAR = 6.0
+"""Standard deviations of its size from which on a part is there. Chosen: twenty lags are tried, in
+records whose noise may be another than was fitted."""
+_NEAR_H = 0.02
+"""Change of a lag below which the search ends."""
+_STEPS = 8
+"""Of Gauss-Newton at most."""
+_STILL_H = 1e-3
+"""A step below which they end."""
 _STEP_H = 0.05
 """For derivatives by the lag."""
 _ROUNDS = 2
-"""Of lag and noise in turn; Gauss-Newton steps follow."""
+"""Of lags and noise in turn; Gauss-Newton steps follow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +71,8 @@ class Response:
 
     channel: int
     """Column of the readings."""
+    slow: bool
+    """Of a second mass, beside the quick one of the same reading."""
     kind: Lag
     lag_h: Interval
     """Positive: the displacement follows."""
@@ -92,23 +110,76 @@ def temperature_response(
     usable = _usable(hours, channels)
     if not usable:
         return None
-    readings = [reading_of(hours, channel) for channel in usable]
-    known = _known(readings, hours.times_s, [(Lag.FIRST_ORDER, _SEARCHED)] * len(usable))
-    times_days = hours.times_s[known] / DAY_S
-    line = _slow(times_days, None if beside is None else beside[known])
-    values_mm = hours.mean_mm[known]
-    lags = [(Lag.SHIFT, 0.0)] * len(usable)
-    fit: Fit | None = None
+    parts = [_Part(channel, reading_of(hours, channel), Lag.SHIFT, 0.0) for channel in usable]
+    single, fit, times_s = _sought(hours, parts, beside, _SEARCHED)
+    both = single + _second_masses(single, fit, times_s)
+    if len(both) > len(single):
+        both, *_ = _sought(hours, both, beside, _SEARCHED_SLOW)
+        found = _judged(hours, both, beside, confidence)
+        doubled = {part.channel for part in both[len(single) :]}
+        if all(_clear(one) for one in found.responses if one.channel in doubled):
+            return found
+    return _judged(hours, single, beside, confidence)
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A reading behind a lag."""
+
+    channel: int
+    reading: Reading
+    kind: Lag
+    lag_h: float
+
+    def after(self, times_s: FloatArray) -> FloatArray:
+        """(n,) its means over the hours about these times."""
+        return self.reading.after(times_s, self.kind, self.lag_h)
+
+    def moved(self, step_h: float) -> _Part:
+        """The same behind another lag."""
+        lag_h = self.lag_h + step_h
+        first_order = self.kind is Lag.FIRST_ORDER
+        return replace(self, lag_h=max(lag_h, float(_LAGS_H[0])) if first_order else lag_h)
+
+
+def _sought(
+    hours: Hours, parts: list[_Part], beside: FloatArray | None, past_h: float
+) -> tuple[list[_Part], Fit, FloatArray]:
+    """The parts behind their best lags, the last fit, and its times (n,).
+
+    Of hours for which the readings `past_h` ago are known.
+    """
+    known = _known([replace(p, kind=Lag.FIRST_ORDER, lag_h=past_h) for p in parts], hours.times_s)
+    times_s, values_mm = hours.times_s[known], hours.mean_mm[known]
+    line = _slow(times_s / DAY_S, None if beside is None else beside[known])
     for _ in range(_ROUNDS):
-        columns = _columns(readings, hours.times_s[known], lags)
-        fit = robust_fit(times_days, np.column_stack([line, columns]), values_mm)
-        before = lags
-        lags = _better_lags(fit, readings, hours.times_s[known], columns, lags)
-        if all(a[0] is b[0] and abs(a[1] - b[1]) < 0.02 for a, b in zip(before, lags, strict=True)):
+        columns = _columns(parts, times_s)
+        fit = robust_fit(times_s / DAY_S, np.column_stack([line, columns]), values_mm)
+        before, parts = parts, _better_lags(fit, parts, times_s[fit.keep])
+        if all(
+            a.kind is b.kind and abs(a.lag_h - b.lag_h) < _NEAR_H
+            for a, b in zip(before, parts, strict=True)
+        ):
             break
-    known = _known(readings, hours.times_s, lags)
-    line = _slow(hours.times_s[known] / DAY_S, None if beside is None else beside[known])
-    return _judged(hours, known, line, usable, readings, lags, confidence)
+    return parts, fit, times_s[fit.keep]
+
+
+def _second_masses(parts: list[_Part], fit: Fit, times_s: FloatArray) -> list[_Part]:
+    """Slow parts of the same readings that explain more than chance would beside the quick ones."""
+    found = []
+    for part in parts:
+        tried_h = _LAGS_H[max(_SLOW_H, _SLOWER * part.lag_h) <= _LAGS_H]
+        if len(tried_h):
+            lag_h, gain = _closed_in(Lag.FIRST_ORDER, tried_h, part.reading, times_s, fit.noise_fit)
+            if gain > _CLEAR**2:
+                found.append(replace(part, kind=Lag.FIRST_ORDER, lag_h=lag_h))
+    return found
+
+
+def _clear(response: Response) -> bool:
+    """Whether a size is one beyond doubt."""
+    size = response.mm_per_unit
+    return abs(size.value) > _CLEAR * size.sigma
 
 
 def _slow(times_days: FloatArray, beside: FloatArray | None) -> FloatArray:
@@ -127,46 +198,40 @@ def _usable(hours: Hours, channels: tuple[int, ...]) -> list[int]:
     return usable
 
 
-def _known(
-    readings: list[Reading], times_s: FloatArray, lags: list[tuple[Lag, float]]
-) -> BoolArray:
+def _known(parts: list[_Part], times_s: FloatArray) -> BoolArray:
     """(n,) hours for which all readings behind their lags are known well enough.
 
     What happened in a gap, or before the record, is forgotten only some lags later. Half of the
     hours stay, the best known, where gaps are many or the lag is long.
     """
-    unsure = np.max(
-        [one.unsure(times_s, *lag) for one, lag in zip(readings, lags, strict=True)], axis=0
-    )
+    unsure = np.max([p.reading.unsure(times_s, p.kind, p.lag_h) for p in parts], axis=0)
     found: BoolArray = unsure <= max(_UNSURE, float(np.quantile(unsure, _LEAST_KNOWN)))
     return found
 
 
-def _columns(
-    readings: list[Reading], times_s: FloatArray, lags: list[tuple[Lag, float]]
-) -> FloatArray:
-    return np.column_stack(
-        [reading.after(times_s, *lag) for reading, lag in zip(readings, lags, strict=True)]
-    )
+def _columns(parts: list[_Part], times_s: FloatArray) -> FloatArray:
+    """(n, parts)."""
+    return np.column_stack([part.after(times_s) for part in parts])
 
 
-def _better_lags(
-    fit: Fit,
-    readings: list[Reading],
-    times_s: FloatArray,
-    columns: FloatArray,
-    lags: list[tuple[Lag, float]],
-) -> list[tuple[Lag, float]]:
-    """The lag of each reading in turn that explains most beside the others."""
-    lags = list(lags)
-    for number, reading in enumerate(readings):
-        others = _without(fit, columns.shape[1], number)
-        best: dict[Lag, tuple[float, float]] = {}
-        for kind, tried_h in ((Lag.SHIFT, _SHIFTS_H), (Lag.FIRST_ORDER, _LAGS_H)):
-            best[kind] = _closed_in(kind, tried_h, reading, times_s[fit.keep], others)
+def _better_lags(fit: Fit, parts: list[_Part], times_s: FloatArray) -> list[_Part]:
+    """The lag of each part in turn that explains most beside the others.
+
+    The second part of a reading is a slow mass, the first one may also be a shift.
+    """
+    found: list[_Part] = []
+    for number, part in enumerate(parts):
+        others = _without(fit, len(parts), number)
+        tried = {Lag.SHIFT: _SHIFTS_H, Lag.FIRST_ORDER: _LAGS_H}
+        if any(part.channel == other.channel for other in found):
+            tried = {Lag.FIRST_ORDER: _LAGS_H[_LAGS_H >= _SLOW_H]}
+        best = {
+            kind: _closed_in(kind, tried_h, part.reading, times_s, others)
+            for kind, tried_h in tried.items()
+        }
         kind = max(best, key=lambda kind: best[kind][1])
-        lags[number] = kind, best[kind][0]
-    return lags
+        found.append(replace(part, kind=kind, lag_h=best[kind][0]))
+    return found
 
 
 def _closed_in(
@@ -221,42 +286,31 @@ def _peak(places: FloatArray, gains: FloatArray) -> tuple[float, float]:
 
 
 def _judged(
-    hours: Hours,
-    known: BoolArray,
-    line: FloatArray,
-    usable: list[int],
-    readings: list[Reading],
-    lags: list[tuple[Lag, float]],
-    confidence: float,
+    hours: Hours, parts: list[_Part], beside: FloatArray | None, confidence: float
 ) -> Thermal:
-    """The last Gauss-Newton steps, with the lags as unknowns among the others."""
-    times_s = hours.times_s[known]
-    times_days, values_mm = times_s / DAY_S, hours.mean_mm[known]
-    count = len(usable)
-    fit = robust_fit(
-        times_days, np.column_stack([line, _columns(readings, times_s, lags)]), values_mm
-    )
+    """The last Gauss-Newton steps, with the lags as unknowns among the others; and intervals."""
+    known = _known(parts, hours.times_s)
+    times_s, values_mm = hours.times_s[known], hours.mean_mm[known]
+    times_days = times_s / DAY_S
+    line = _slow(times_days, None if beside is None else beside[known])
+    columns = np.column_stack([line, _columns(parts, times_s)])
+    fit = robust_fit(times_days, columns, values_mm)
+    keep, count = fit.keep, len(parts)
     sizes = fit.gls.coefficients[-count:]
-    for _ in range(2):
-        columns = _columns(readings, times_s, lags)
-        by_lag = _by_lag(readings, times_s, lags)
-        design = np.column_stack([line, columns, by_lag * sizes])[fit.keep]
-        better = gls(fit.noise_fit.whitening, design, values_mm[fit.keep])
+    for _ in range(_STEPS):
+        design = np.column_stack([line, _columns(parts, times_s), _by_lag(parts, times_s) * sizes])
+        better = gls(fit.noise_fit.whitening, design[keep], values_mm[keep])
         sizes = better.coefficients[-2 * count : -count]
-        steps = np.clip(better.coefficients[-count:], -2.0, 2.0)
-        lags = [
-            (kind, _allowed(kind, lag_h + float(step)))
-            for (kind, lag_h), step in zip(lags, steps, strict=True)
-        ]
-    design = np.column_stack(
-        [line, _columns(readings, times_s, lags), _by_lag(readings, times_s, lags) * sizes]
+        steps_h = np.clip(better.coefficients[-count:], *_reach(parts))
+        if (np.abs(steps_h) < _STILL_H).all():
+            break
+        parts = [part.moved(float(step_h)) for part, step_h in zip(parts, steps_h, strict=True)]
+    mixture = Mixture.of(
+        replace(fit.noise_fit, gls=better), times_days[keep], design[keep], values_mm[keep]
     )
-    keep, p = fit.keep, design.shape[1]
-    better = gls(fit.noise_fit.whitening, design[keep], values_mm[keep])
-    fit = replace(fit, noise_fit=replace(fit.noise_fit, gls=better))
-    mixture = Mixture.of(fit.noise_fit, times_days[keep], design[keep], values_mm[keep])
-    responses = []
-    for number, (channel, (kind, lag_h)) in enumerate(zip(usable, lags, strict=True)):
+    responses: list[Response] = []
+    p = design.shape[1]
+    for number, part in enumerate(parts):
         left, size = (
             _wider(
                 mixture.interval(unit, confidence),
@@ -264,22 +318,31 @@ def _judged(
             )
             for unit in np.eye(p)[[p - count + number, p - 2 * count + number]]
         )
+        lag_h = part.lag_h  # `left` is that of a last step
         lag = Interval(lag_h + left.value, left.sigma, lag_h + left.low, lag_h + left.high)
-        responses.append(Response(channel, kind, lag, size))  # `left` is that of the last step
-    everywhere = _columns(readings, hours.times_s, lags)
+        slow = any(part.channel == other.channel for other in responses)
+        responses.append(Response(part.channel, slow, part.kind, lag, size))
+    everywhere = _columns(parts, hours.times_s)
     everywhere[~known] = np.nan
-    sizes = np.array([response.mm_per_unit.value for response in responses])
-    about = values_mm - line @ np.linalg.lstsq(line, values_mm, rcond=None)[0]
-    rest = values_mm - _columns(readings, times_s, lags) @ sizes
-    rest = (rest - line @ np.linalg.lstsq(line, rest, rcond=None)[0])[fit.keep]
+    about = _about(values_mm, line)[keep]
+    rest = _about(values_mm - _columns(parts, times_s) @ sizes, line)[keep]
+    explained = 1.0 - np.var(rest) / max(np.var(about), np.finfo(float).tiny)
+    by_lag = _by_lag(parts, hours.times_s)
     return Thermal(
-        tuple(responses),
-        known,
-        everywhere,
-        _by_lag(readings, hours.times_s, lags),
-        float(1.0 - np.var(rest) / max(np.var(about[fit.keep]), np.finfo(float).tiny)),
-        float(np.std(rest)),
+        tuple(responses), known, everywhere, by_lag, float(explained), float(np.std(rest))
     )
+
+
+def _about(values_mm: FloatArray, line: FloatArray) -> FloatArray:
+    """(n,) values less what a slow line explains of them."""
+    found: FloatArray = values_mm - line @ np.linalg.lstsq(line, values_mm, rcond=None)[0]
+    return found
+
+
+def _reach(parts: list[_Part]) -> tuple[FloatArray, FloatArray]:
+    """How far each lag may move in one step: a derivative holds only nearby."""
+    high = np.array([0.25 + 0.25 * abs(part.lag_h) for part in parts])
+    return -high, high
 
 
 def _wider(by_noise: Interval, between_blocks: Interval | None) -> Interval:
@@ -295,21 +358,11 @@ def _wider(by_noise: Interval, between_blocks: Interval | None) -> Interval:
     return Interval(by_noise.value, between_blocks.sigma, low, high)
 
 
-def _allowed(kind: Lag, lag_h: float) -> float:
-    return max(lag_h, float(_LAGS_H[0])) if kind is Lag.FIRST_ORDER else lag_h
-
-
-def _by_lag(
-    readings: list[Reading], times_s: FloatArray, lags: list[tuple[Lag, float]]
-) -> FloatArray:
-    """(n, readings) derivative by the lag, per hour."""
-    later = [(kind, lag_h + _STEP_H) for kind, lag_h in lags]
-    sooner = [
-        (kind, max(lag_h - _STEP_H, 0.01) if kind is Lag.FIRST_ORDER else lag_h - _STEP_H)
-        for kind, lag_h in lags
-    ]
-    span = np.array([b[1] - a[1] for a, b in zip(sooner, later, strict=True)])
-    found: FloatArray = (
-        _columns(readings, times_s, later) - _columns(readings, times_s, sooner)
-    ) / span
-    return found
+def _by_lag(parts: list[_Part], times_s: FloatArray) -> FloatArray:
+    """(n, parts) derivative by the lag, per hour."""
+    found = []
+    for part in parts:
+        later, sooner = part.moved(_STEP_H), part.moved(-_STEP_H)
+        change = later.after(times_s) - sooner.after(times_s)
+        found.append(change / (later.lag_h - sooner.lag_h))
+    return np.column_stack(found)

@@ -80,6 +80,7 @@ def _thermal(thermal: Thermal, channels: tuple[Channel, ...]) -> dict[str, Any]:
                 "name": channels[one.channel].name,
                 "unit": channels[one.channel].unit,
                 "kind": one.kind.value,
+                "slow": one.slow,
                 "lag_h": _interval(one.lag_h),
                 "mm_per_unit": _interval(one.mm_per_unit),
             }

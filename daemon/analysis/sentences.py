@@ -46,6 +46,7 @@ def _mm(interval: Interval) -> str:
 def _thermal(thermal: Thermal, channels: tuple[Channel, ...], percent: str) -> Iterator[str]:
     for one in thermal.responses:
         channel = channels[one.channel]
+        name = f"{channel.name}, slow part" if one.slow else channel.name
         unit = "K" if channel.unit == "degC" else channel.unit
         size = one.mm_per_unit
         lag = one.lag_h
@@ -53,7 +54,7 @@ def _thermal(thermal: Thermal, channels: tuple[Channel, ...], percent: str) -> I
         if one.kind is Lag.SHIFT and lag.value < 0.0:
             how = "behind it (negative: the displacement leads)"
         yield (
-            f"{channel.name}: {size.value:+.4f} [{size.low:+.4f}, {size.high:+.4f}] mm/{unit}, "
+            f"{name}: {size.value:+.4f} [{size.low:+.4f}, {size.high:+.4f}] mm/{unit}, "
             f"{lag.value:.2f} [{lag.low:.2f}, {lag.high:.2f}] h {how} ({percent})"
         )
     yield (

@@ -10,9 +10,9 @@ import pytest
 from benchmarks.bridges import BEGIN_S, CREEP_LAWS, DAY_S, Bridge, make, make_creep, remembering
 from core.analysis.binning import bins_of, hours_of
 from core.analysis.creep import fit_creep
-from core.analysis.noise import Whitening, fit_noise
+from core.analysis.noise import Whitening, fit_noise, gls
 from core.analysis.readings import Lag
-from core.analysis.regression import daily, yearly
+from core.analysis.regression import by_blocks, daily, yearly
 from core.analysis.steps import find_steps, recent_drift
 from core.analysis.thermal import temperature_response
 from core.analysis.trend import difference, trend_of
@@ -111,6 +111,52 @@ def test_a_temperature_comes_back_with_its_lag(lag_h: float, *, first_order: boo
     assert size.value == pytest.approx(0.25, abs=4.0 * size.sigma)
     assert size.sigma < 0.005
     assert found.explained > 0.98
+
+
+def test_a_deck_and_a_slow_girder_come_back_as_two_masses() -> None:
+    """As one mass a tenth of a millimetre and more is left, and a part of the size is missed."""
+    bridge = Bridge(days=45.0, lag_h=1.5, first_order=True, slow_share=0.4, slow_h=18.0)
+    made = make(bridge, seed=12)
+    found = temperature_response(hours_of(made.times_s, made.y_mm, made.deck_c[:, None]), (0,))
+    assert found is not None
+    quick, slow = found.responses
+    assert (quick.slow, slow.slow) == (False, True)
+    for response, lag_h, size in ((quick, 1.5, 0.15), (slow, 18.0, 0.1)):
+        assert response.lag_h.value == pytest.approx(lag_h, abs=3.0 * response.lag_h.sigma)
+        assert response.lag_h.sigma < 0.15 * lag_h
+        assert response.mm_per_unit.value == pytest.approx(
+            size, abs=3.0 * response.mm_per_unit.sigma
+        )
+    assert found.left_mm < 0.03
+
+
+def test_weather_that_no_sensor_shows_widens_the_interval_of_a_lag() -> None:
+    """Stretches of other weather differ by more than the noise within them lets expect."""
+    widths = []
+    for unseen_mm in (0.0, 0.1):
+        made = make(Bridge(days=45.0, unseen_mm=unseen_mm), seed=13)
+        found = temperature_response(hours_of(made.times_s, made.y_mm, made.deck_c[:, None]), (0,))
+        assert found is not None
+        widths.append(found.responses[0].mm_per_unit.sigma)
+    assert widths[1] > 5.0 * widths[0]
+
+
+def test_what_stretches_differ_by_is_the_error_whatever_the_noise() -> None:
+    """A mean of noise that remembers half a day, fitted as if hours were independent."""
+    within = 0
+    days = np.arange(0.0, 100.0, 1.0 / 24.0)
+    design = np.ones((len(days), 1))
+    for seed in range(SERIES):
+        values_mm = remembering(np.random.default_rng(seed), len(days), 1.0, 12.0)
+        white = gls(Whitening(days, np.array([1e-3]), np.array([1.0])), design, values_mm)
+        found = by_blocks(days, design, white, np.ones(1), 0.95)
+        assert found is not None
+        assert found.sigma > 3.0 * np.sqrt(white.covariance[0, 0])
+        within += found.low <= 0.0 <= found.high
+    assert within >= SERIES - 3
+    few = days < 10.0
+    short = gls(Whitening(days[few], np.ones(1), np.ones(1)), design[few], days[few])
+    assert by_blocks(days[few], design[few], short, np.ones(1), 0.95) is None
 
 
 def test_two_readings_are_told_apart() -> None:
