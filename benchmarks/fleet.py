@@ -7,6 +7,7 @@ minute each. Each says whether every row is there once, how fast, and how large.
 from __future__ import annotations
 
 import argparse
+import os
 import sqlite3
 import tempfile
 import threading
@@ -158,7 +159,7 @@ def many_piers(server: Server, piers: int, seconds: int, minutes: int) -> None:
     sites_there = [site.id for site in read_sites(central)]
     total = seconds * _PIERS_A_SECOND // minutes
     turns, lock, late_s = iter(range(total)), threading.Lock(), [0.0]
-    begin_s = time.monotonic()
+    begin_s, begin_cpu_s = time.monotonic(), (time.process_time(), _server_cpu_s(server))
 
     def work(_worker: int) -> None:
         own = open_central(server.url("many_piers"), None)
@@ -183,17 +184,27 @@ def many_piers(server: Server, piers: int, seconds: int, minutes: int) -> None:
     with ThreadPoolExecutor(16) as pool:
         list(pool.map(work, range(16)))
     took_s = time.monotonic() - begin_s
+    piers_s = time.process_time() - begin_cpu_s[0]
+    server_s = _server_cpu_s(server) - begin_cpu_s[1]
     with central.transaction() as there:
         count = there.scalar(text("SELECT count(*) FROM measurement"))
     rows = total * minutes
     print(f"{piers} piers, {rows} rows in {took_s:.0f} s, {rows / took_s:.0f} rows/s")
     print(f"  rows there, each once: {count} of {rows}; latest sync {late_s[0]:.1f} s late")
+    print(f"  processor: server {server_s:.0f} s, piers {piers_s:.0f} s")
     for _ in range(3):
-        begin_s, begin_cpu_s = time.monotonic(), time.process_time()
+        begin_s, status_cpu_s = time.monotonic(), time.process_time()
         found = judge_fleet(read_sites(central), 1800.0)
-        status_s, cpu_s = time.monotonic() - begin_s, time.process_time() - begin_cpu_s
+        status_s, cpu_s = time.monotonic() - begin_s, time.process_time() - status_cpu_s
         print(f"  status of {len(found)} sites in {status_s:.2f} s, {cpu_s:.2f} s of processor")
     central.close()
+
+
+def _server_cpu_s(server: Server) -> float:
+    """Of the server and of those of its processes that have ended: connections that are closed."""
+    number = (server.data / "postmaster.pid").read_text().split()[0]
+    fields = Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()
+    return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
 
 
 def _minute(row: dict[str, Any], minute: int) -> dict[str, Any]:
