@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import click
 
 from daemon.commands.durations import duration_s
-from daemon.commands.output import ZONE, note, shown_zone
+from daemon.commands.output import ZONE, note, progress, shown_zone
 from daemon.config.alarm import read_remains
 from daemon.config.centre import Centre, load_centre
 from daemon.config.reading import (
@@ -72,7 +72,8 @@ class Options:
         if self.state_flag is not None:
             msg = "--site reads the central database: leave out --state"
             raise UsageError(msg)
-        fetched = fetch(self.centre.fleet, str(self.site))
+        with progress(None, f"fetching rows of {self.site}") as steps:
+            fetched = fetch(self.centre.fleet, str(self.site), steps.at)
         return Installation(fetched.config, load_config(fetched.config), fetched.state)
 
     @property
