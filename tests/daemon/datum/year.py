@@ -42,6 +42,7 @@ board_urad_per_k = 0
 board_urad_per_sqrt_day = 0
 board_expansion_per_k = 0
 main_px_per_k = 0
+sub_px_per_k = 0
 main_scale_per_k = 0
 air_gradient_k_per_m = 0
 """
