@@ -9,7 +9,8 @@ import click
 from daemon.commands.options import Options, common_options, pass_options, utc_time
 from daemon.commands.output import note, progress
 from daemon.errors import UsageError
-from drivers.libraries import require_library
+from drivers.errors import MissingLibraryError
+from drivers.libraries import has_library
 
 _FIRST = datetime(2000, 1, 1, tzinfo=UTC)
 
@@ -43,7 +44,12 @@ def command(options: Options, place: str | None, since: datetime | None) -> None
     if place is None:
         msg = "give --to URL, or archive in [fleet]: where the months are to be written"
         raise UsageError(msg)
-    require_library("pyarrow", "Parquet")
+    if not has_library("pyarrow"):
+        msg = (
+            "no Parquet: pyarrow is not installed: pip install 'dcam[archive]'; make install and "
+            "the package do not bring it, but any computer that reaches the centre will do"
+        )
+        raise MissingLibraryError(msg)
     with opened(settings) as central, progress(None, "writing months") as steps:
         done = write_archive(central, place, since or _FIRST, steps.at)
     for part in done.fewer:

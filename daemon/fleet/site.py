@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daemon.config.outputs import FleetSection
+from daemon.durable import write_durable
 from daemon.errors import UsageError
 from daemon.fleet.opening import opened
 from daemon.outputs.row_fields import slug
@@ -46,7 +47,7 @@ def fetch(
         fetch_site(central, site, state, tell)
         verdict, status = site_verdict(central, name, settings.silent_min * 60.0)
     config = state / "dcam.toml"
-    config.write_text(site["config"] or "", encoding="utf-8")
+    write_durable(config, (site["config"] or "").encode())
     return FetchedSite(state, config, verdict, status)
 
 

@@ -19,6 +19,8 @@ class SiteVerdict:
     site: CentralSite
     level: Level
     text: str
+    silent: bool = False
+    """It was not heard: the text says for how long, and what it said before."""
 
 
 def judge_fleet(sites: Sequence[CentralSite], silent_s: float) -> list[SiteVerdict]:
@@ -32,7 +34,8 @@ def judge_fleet(sites: Sequence[CentralSite], silent_s: float) -> list[SiteVerdi
 def _judge(site: CentralSite, silent_s: float) -> SiteVerdict:
     if site.silent_s > silent_s:
         text = f"not heard from for {span_text(site.silent_s)}"
-        return SiteVerdict(site, Level.CRITICAL, f"{text}; then: {site.summary or 'nothing'}")
+        said = f"{text}; then: {site.summary or 'nothing'}"
+        return SiteVerdict(site, Level.CRITICAL, said, silent=True)
     level = Level.UNKNOWN if site.level is None else Level(site.level)
     return SiteVerdict(site, level, site.summary)
 

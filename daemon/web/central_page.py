@@ -58,9 +58,13 @@ class _SaidOverviews(Overviews):
         found = self._copy.found
         assert found is not None  # noqa: S101 - the page is shown once it is there
         status, now_utc = found.status, datetime.now(UTC)
+        level, items = found.verdict.level, _items(found)
+        if self._copy.trouble:  # how it is now nobody knows
+            level = Level.UNKNOWN
+            items.insert(0, _item("central database", level, self._copy.trouble))
         return {
             **self.site(),
-            **verdict_fields(found.verdict.level, _items(found)),
+            **verdict_fields(level, items),
             "last": _last(status.get("last"), now_utc),
             "coverage": {
                 "h24": _share(status.get("coverage_24h")),
@@ -73,15 +77,18 @@ class _SaidOverviews(Overviews):
 
 def _items(found: FetchedSite) -> list[dict[str, Any]]:
     """What the pier said, and before it what the centre says: when it was heard."""
-    site = found.verdict.site
     said = [
-        {"name": one["name"], "level": int(Level[one["level"].upper()]), "text": one["text"]}
+        _item(one["name"], Level[one["level"].upper()], one["text"])
         for one in found.status.get("items", ())
     ]
-    heard = f"{site.heard_utc.astimezone(UTC):%Y-%m-%d %H:%M} UTC; all of this is as of then"
-    silent = found.verdict.level is Level.CRITICAL and found.verdict.text.startswith("not heard")
-    level = Level.CRITICAL if silent else Level.OK
-    return [{"name": "heard", "level": int(level), "text": heard}, *said]
+    heard_utc = found.verdict.site.heard_utc.astimezone(UTC)
+    text = f"{heard_utc:%Y-%m-%d %H:%M} UTC; all of this is as of then"
+    level = Level.CRITICAL if found.verdict.silent else Level.OK
+    return [_item("heard", level, text), *said]
+
+
+def _item(name: str, level: Level, text: str) -> dict[str, Any]:
+    return {"name": name, "level": int(level), "text": text}
 
 
 def _last(fields: dict[str, Any] | None, now_utc: datetime) -> dict[str, Any] | None:

@@ -20,6 +20,8 @@ from starlette.types import Receive, Scope, Send
 
 from daemon.config.centre import Centre
 from daemon.config.reading import Installation, load_config
+from daemon.error_report import lines_of
+from daemon.errors import DcamError
 from daemon.fleet.opening import opened
 from daemon.fleet.site import pages_directory
 from daemon.fleet.verdict import SiteVerdict, fleet_level, judge_fleet
@@ -119,7 +121,10 @@ class FleetPage:
             return answer
         with self._lock:
             if one.app is None:
-                one.page = self._page(one.copy, str(scope["root_path"]))
+                try:
+                    one.page = self._page(one.copy, str(scope["root_path"]))
+                except DcamError as error:  # its config is none that this version can read
+                    return self.views.message(scope, 503, "; ".join(lines_of(error)))
                 one.page.follower.start()
                 one.app = site_app(one.page)
             return one.app
