@@ -7,13 +7,16 @@ Debian's Chromium.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import statistics
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.request import urlopen
 
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
@@ -89,9 +92,19 @@ def measure_page(rows: int = ROWS, state: Path | None = None) -> Iterator[PageCo
         arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=arguments)
         with serving(CONFIG, directory) as url:
+            _wait_until_read(url)
             for throttling in (1, THROTTLED):
                 yield _measure(browser, url, rows, throttling)
         browser.close()
+
+
+def _wait_until_read(url: str) -> None:
+    """Until dcam-web has read the whole record, which it does once: some milliseconds a day."""
+    while True:
+        with urlopen(f"{url}/api/site") as answer:
+            if json.load(answer)["building"] is None:
+                return
+        time.sleep(1.0)
 
 
 def _measure(browser: Browser, url: str, rows: int, throttling: int) -> PageCost:

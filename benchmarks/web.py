@@ -19,7 +19,7 @@ from urllib.parse import urlsplit
 from benchmarks.page_server import ROOT
 
 READERS = 200
-SECONDS = 20.0
+SECONDS = 60.0
 SILENT = 40
 """Of them ask for much and take nothing."""
 QUANTITIES = "y_mm.main,sigma_y_mm.main,raw_y_mm.main,temperature_main_c,temperature_sub_c"

@@ -96,6 +96,7 @@ def days(
                 "day": text,
                 **{axis: _extremes(buckets[place]) for axis, buckets in axes.items()},
                 "completeness": min(int(day["rows"]) / expected, 1.0) if expected else 1.0,
+                "good": min(int(day["good"]) / max(expected, int(day["rows"])), 1.0),
                 "flag": int(day["worst"]) or int(Flag.MISSING),
                 "thumbnail": f"/frames/{frame}/main?width=160" if frame and pictures else None,
                 "slot": frame,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -49,6 +50,7 @@ class Views:
             language=self.language,
             timezone=self.timezone,
             version=VERSION,
+            icon=_ICON,
             root=self.root,
             pages=pages,
             **context,
@@ -65,6 +67,11 @@ class Views:
         title = self.texts.get(titles.get(status, ""), f"{status}")
         return self.html("message", status, title=title, text=text, login=status == 401)
 
+
+_ICON = (
+    "data:image/svg+xml;base64,"
+    + base64.b64encode((HERE / "templates/icon.svg").read_bytes()).decode()
+)  # as a file a browser asks for it again at each change of the address
 
 _TEMPLATES = Environment(
     loader=FileSystemLoader(HERE / "templates"), autoescape=True, auto_reload=False

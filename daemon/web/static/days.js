@@ -19,21 +19,21 @@ const bar = (day, low, high) => {
 
 const card = (day, low, high) => {
   const until = iso(Date.parse(`${day.day}T00:00:00Z`) / 1000 + DAY_S);
-  return el("li", { class: `day flag-edge-${day.flag}` },
+  return el("li", { class: `day day-${day.good >= 0.95 ? "good" : day.good >= 0.5 ? "fair" : "poor"}` },
     el("a", { href: at(`/#since=${day.day}T00:00:00Z&until=${until}`) },
       el("span", { class: "day-name" }, day.day),
       el("span", { class: "day-row" },
         day.thumbnail ? el("img", { src: day.thumbnail, alt: "", loading: "lazy" }) : el("span", { class: "no-picture" }, t("no_picture")),
         bar(day, low, high)),
-      el("span", { class: "hint" }, `${fixed(day.y_mm?.mean, 2)} mm · ${t("complete", { percent: percent(day.completeness) })}`)));
+      el("span", { class: "hint" }, [t("day_says", { mean: fixed(day.y_mm?.mean, 2) }), el("br"), t("complete", { percent: percent(day.completeness) })])));
 };
 
 const dayTable = (days) => {
   const rows = days.map((day) => [day.day,
     ...["x_mm", "y_mm"].flatMap((axis) => ["min", "mean", "max"].map((part) => fixed(day[axis]?.[part]))),
-    percent(day.completeness), t(`flag_${day.flag}`)]);
+    percent(day.completeness), percent(day.good), t(`flag_${day.flag}`)]);
   const columns = [t("day"), ...[t("right_mm"), t("up_mm")].flatMap((axis) => ["minimum", "mean", "maximum"].map((part) => `${axis}, ${t(part)}`)),
-    t("completeness"), t("flag")];
+    t("completeness"), t("flag_1"), t("worst_flag")];
   return el("details", {}, el("summary", {}, t("table_of", { title: t("title_days") })), table(t("title_days"), columns, rows));
 };
 

@@ -12,8 +12,8 @@ const link = (start, end) => {
 };
 
 const PARTS = {
-  alarms: (found) => [[t("name"), t("state_word"), t("since"), t("text")],
-    found.map((alarm) => [alarm.name, alarm.state, timeElement(alarm.since), alarm.text])],
+  alarms: (found) => [[t("name"), t("state_word"), t("since"), t("alarm_about")],
+    found.map((alarm) => [alarm.name, alarm.state, timeElement(alarm.since), alarm.text || alarm.about])],
   gaps: (found) => [[t("start"), t("end"), t("slots_missed"), t("cause"), t("detail"), t("record")],
     found.map((gap) => [timeElement(gap.start), timeElement(gap.end), `${gap.slots}`, gap.cause, gap.detail, link(gap.start, gap.end)])],
   ledger: (found) => [[t("start"), t("end"), t("kind"), t("author"), t("text"), t("record")],
@@ -22,11 +22,22 @@ const PARTS = {
     found.map((event) => [timeElement(event.time, "second"), event.kind, event.detail])],
 };
 
+/** Alarms that are only armed are folded up: what is raised must be seen at once. */
+const shown = (name, columns, rows) => {
+  if (!rows.length) return [el("p", {}, t("none"))];
+  const folded = name === "alarms" ? rows.filter(([, state]) => state === "armed") : [];
+  const open = rows.filter((row) => !folded.includes(row));
+  return [
+    open.length ? table(t(`heading_${name}`), columns, open) : el("p", {}, t("no_alarms")),
+    folded.length ? el("details", {}, el("summary", {}, t("armed", { count: folded.length })), table(t("armed", { count: folded.length }), columns, folded)) : null,
+  ].filter(Boolean);
+};
+
 const show = async ([name, make]) => {
   try {
     const found = (await getJson(`/api/${name}`))[name];
     const [columns, rows] = make(found);
-    below(section(name), found.length ? table(t(`heading_${name}`), columns, rows) : el("p", {}, t("none")));
+    below(section(name), ...shown(name, columns, rows));
   } catch (error) {
     below(section(name), el("p", { class: "notice" }, t("failed", { text: error.message })));
   }

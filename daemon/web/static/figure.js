@@ -1,6 +1,6 @@
 // The figures over one span of time: what is shown, how it is moved, which data it asks for.
 
-import { el, epoch, getJson, iso, recall, remember, t, timeText } from "./page.js";
+import { el, epoch, getJson, iso, midnight, recall, remember, t, timeText } from "./page.js";
 import { listen } from "./gestures.js";
 import { forgetColours } from "./lines.js";
 import { AXIS_PX, Panel } from "./panel.js";
@@ -176,7 +176,8 @@ export class RecordFigure {
 
   submit(event) {
     event.preventDefault();
-    const [since, until] = [Date.parse(`${this.from.value}T00:00:00Z`) / 1000, Date.parse(`${this.to.value}T00:00:00Z`) / 1000 + 86400];
+    const after = iso(Date.parse(`${this.to.value}T00:00:00Z`) / 1000 + 86400).slice(0, 10);
+    const [since, until] = [midnight(this.from.value), midnight(after)];
     if (since < until) this.go(since, until);
   }
 
@@ -291,8 +292,8 @@ export class RecordFigure {
     clearTimeout(this.settling);
     this.settling = setTimeout(() => {
       history.replaceState(null, "", `#since=${iso(Math.round(this.since))}&until=${iso(Math.round(this.until))}`);
-      this.from.value = iso(this.since).slice(0, 10);
-      this.to.value = iso(this.until).slice(0, 10);
+      this.from.value = timeText(this.since, "day");
+      this.to.value = timeText(this.until - 1, "day");
       for (const panel of this.panels) panel.describe();
       this.node.dataset.settled = `${iso(this.since)} ${iso(this.until)}`;
     }, SETTLE_MS);

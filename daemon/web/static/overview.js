@@ -35,7 +35,7 @@ const lastValues = (last) => {
   ]);
   return el("div", {},
     table(t("last_value"), [t("point"), `${t("right")}, mm`, `${t("up")}, mm`, t("flag")], rows),
-    el("p", { class: "hint" }, timeElement(last.slot), ` · ${duration(last.age_s)}`));
+    el("p", { class: "hint" }, timeElement(last.slot), `, ${t("ago", { age: duration(last.age_s) })}`));
 };
 
 const troubles = (items) => {
@@ -52,16 +52,25 @@ const troubles = (items) => {
 
 const alarms = (list) => {
   if (!list?.length) return null;
+  const armed = list.filter(({ state }) => state === "armed");
+  const others = list.filter(({ state }) => state !== "armed");
   return el("div", {}, el("h3", {}, t("alarms")),
-    el("ul", { class: "items" }, list.map((alarm) => el("li", { class: `alarm-${alarm.state}` },
-      el("strong", {}, alarm.name), ` ${alarm.state} `, alarm.text ?? ""))));
+    others.length ? el("ul", { class: "items" }, others.map((alarm) => el("li", { class: `alarm-${alarm.state}` },
+      el("strong", {}, alarm.name), ` ${alarm.state} `, alarm.text ?? ""))) : el("p", {}, t("no_alarms")),
+    el("details", {}, el("summary", {}, t("armed", { count: armed.length })),
+      el("ul", { class: "items" }, armed.map(({ name, about }) => el("li", {}, el("strong", {}, name), ` ${about}`)))));
+};
+
+const verdict = ({ verdict: { level, word }, items = [] }) => {
+  const names = items.filter((item) => level > 0 && item.level === level).map(({ name }) => name);
+  return names.length ? `${word}: ${names.join(", ")}` : word;
 };
 
 const showState = (overview) => {
   state.dataset.level = overview.verdict.level;
   const shares = { h24: percent(overview.coverage?.h24), d30: percent(overview.coverage?.d30) };
   below(state,
-    el("p", { class: `verdict level-${overview.verdict.level}` }, overview.verdict.word),
+    el("p", { class: `verdict level-${overview.verdict.level}` }, verdict(overview)),
     el("div", { class: "cards" },
       el("div", {}, el("h3", {}, t("last_value")), lastValues(overview.last),
         el("p", { class: "hint" }, `${t("coverage")} ${t("coverage_text", shares)}`)),

@@ -42,7 +42,7 @@ export const withSigma = (value, sigma) => {
 };
 
 export const percent = (share) =>
-  share === null || share === undefined ? "–" : `${(100 * share).toFixed(share > 0.999 || share < 0.1 ? 1 : 0)} %`;
+  share === null || share === undefined ? "–" : `${share === 1 ? 100 : share > 0.99 ? Math.min(99.9, 100 * share).toFixed(1) : (100 * share).toFixed(share > 0 && share < 0.1 ? 1 : 0)} %`;
 
 const UNITS = [[86400, "d"], [3600, "h"], [60, "min"], [1, "s"]];
 
@@ -97,6 +97,13 @@ const format = (seconds, style) => {
 /** Epoch seconds as 2026-03-01 12:00 in the chosen zone; style: day, minute, second. */
 export const timeText = (seconds, style = "minute") =>
   seconds === null || seconds === undefined || Number.isNaN(seconds) ? "–" : format(seconds, style);
+
+/** Epoch seconds of a day's midnight in the chosen zone; a day is 2026-03-01. */
+export const midnight = (day) => {
+  const utc = Date.parse(`${day}T00:00:00Z`) / 1000;
+  const ahead = (seconds) => Date.parse(`${format(seconds, "second").replace(" ", "T")}Z`) / 1000 - seconds;
+  return utc - ahead(utc - ahead(utc)); // what the clock is ahead by then, not at midnight UTC
+};
 
 /** Epoch seconds of an ISO text, or of a number. */
 export const epoch = (time) =>

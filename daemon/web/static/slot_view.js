@@ -127,7 +127,7 @@ export const showSlot = async (node, slot, go) => {
       el("div", { class: "slot-head" },
         el("h2", {}, timeElement(seconds, "second")), flagElement(answer.flag), el("span", {}, reasonsText(answer.reasons)),
         el("span", { class: "buttons" }, step("previous", answer.previous), step("next", answer.next),
-          el("a", { href: at(`/slot/${encodeURIComponent(slot)}`) }, t("as_page")), el("a", { href: around }, t("in_record")),
+          node.id === "slot" ? null : el("a", { href: at(`/slot/${encodeURIComponent(slot)}`) }, t("as_page")), el("a", { href: around }, t("in_record")),
           answer.calibration ? el("a", { href: at(`/calibrations/${answer.calibration}`) }, `${t("calibration")} ${answer.calibration}`) : null)),
       el("div", { class: "cameras" }, frames.map((frame) => frame.node)),
       ...[points(answer), numbers(answer)].filter(Boolean));

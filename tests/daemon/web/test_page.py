@@ -279,6 +279,14 @@ class TestFigure:
             visit.show(slot_text(last - span), slot_text(last))
             assert seconds(visit.span()) == pytest.approx(span.total_seconds(), abs=2)
 
+    def test_days_are_typed_in_as_the_site_has_them(self, visit: Visit, served: Served) -> None:
+        visit.show(*whole(served))
+        first = visit.span()
+        visit.page.get_by_label("From", exact=True).fill("2026-03-05")
+        visit.page.get_by_label("to", exact=True).fill("2026-03-05")
+        visit.page.get_by_role("button", name="Go").click()
+        assert visit.moved(first) == ("2026-03-04T23:00:00Z", "2026-03-05T23:00:00Z")
+
     def test_gaps_flags_and_exclusions_say_their_reason_on_focus(
         self, visit: Visit, served: Served
     ) -> None:

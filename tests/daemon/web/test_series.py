@@ -176,3 +176,15 @@ def test_looking_changes_nothing_in_the_record(follower: Follower, state: Path) 
     assert not (state / "dcam.db-wal").exists()
     with open_store_readonly(state) as store:
         assert [event.kind for event in store.events()] == ["started"]
+
+
+def test_a_day_says_which_share_of_its_slots_has_a_row_and_a_good_one(
+    state: Path, tmp_path: Path
+) -> None:
+    with page(tmp_path) as browser:
+        (day,) = browser(f"/api/days?since={START:%Y-%m-%d}&until={UNTIL:%Y-%m-%dT%H:%M:%SZ}").json[
+            "days"
+        ]
+    slots = ROWS + 10  # a gap is at the end
+    assert day["completeness"] == pytest.approx(ROWS / slots)
+    assert day["good"] == pytest.approx((ROWS - len(DARK)) / slots)
