@@ -1,4 +1,4 @@
-"""Frames at any URL that fsspec knows: s3://, gs://, sftp://, https:// ..."""
+"""Files at any URL that fsspec knows: s3://, gs://, sftp://, https:// ..."""
 
 from __future__ import annotations
 

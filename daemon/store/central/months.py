@@ -10,11 +10,8 @@ from typing import Any
 from sqlalchemy import Interval, Table, cast, func, select
 
 from daemon.store.central.connecting import Central
-from daemon.store.central.tables import MEASUREMENT, SITE, to_sqlite
+from daemon.store.central.tables import DIGEST_PART, MEASUREMENT, SITE, to_sqlite
 from daemon.store.columns import BATCH, Columns
-
-_PART = 0xFFFF_FFFF
-"""Of a digest: so that the sum of many fits into 64 bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +38,7 @@ def closed_months(central: Central, since: datetime) -> Iterator[SiteMonth]:
     sums = (
         select(
             *(MEASUREMENT.c.site_id, begin, end.label("end_utc"), func.count().label("rows")),
-            func.sum(MEASUREMENT.c.digest.op("&")(_PART)).label("digest"),
+            func.sum(MEASUREMENT.c.digest.op("&")(DIGEST_PART)).label("digest"),
         )
         .where(MEASUREMENT.c.slot_utc >= since)
         .group_by(MEASUREMENT.c.site_id, begin)

@@ -97,6 +97,9 @@ MIRRORED = (CALIBRATION, ACTIVATION, DATUM, LEDGER, GAP, MARK)
 CHANGING = frozenset({GAP.name, MARK.name})
 """Whose rows change and go; of the others each stays for good."""
 
+DIGEST_PART = 0xFFFF_FFFF
+"""Of a digest, for sums: so that the sum of many fits into 64 bits."""
+
 
 def key_of(table: Table) -> str:
     """The column that names a row within its site."""

@@ -21,6 +21,7 @@ from daemon.store.arrivals import Arrival, open_arrivals
 from daemon.store.central.connecting import Central
 from daemon.store.central.tables import (
     CHANGING,
+    DIGEST_PART,
     EVENT,
     MEASUREMENT,
     MIRRORED,
@@ -36,8 +37,6 @@ from daemon.version import VERSION
 
 BATCH = 1000
 """Rows, or events, of one transaction."""
-_PART = 0xFFFF_FFFF
-"""Of a digest: so that the sum of many fits into 64 bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +211,7 @@ def mirror(central: Central, state: Path, site_id: int) -> int:
 
 def _sum(connection: sqlite3.Connection, table: Table) -> list[int]:
     """How many rows a table has, and a checksum of them."""
-    query = f"SELECT count(*), coalesce(sum(digest & {_PART}), 0) FROM {table.name}"  # noqa: S608 - our own names
+    query = f"SELECT count(*), coalesce(sum(digest & {DIGEST_PART}), 0) FROM {table.name}"  # noqa: S608 - our own names
     return list(fetch(connection, query)[0])
 
 

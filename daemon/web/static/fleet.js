@@ -61,7 +61,7 @@ const drawMap = (sites) => {
   const { place, pxPerKm } = projection(there);
   const marks = there.map((site) => { const [x, y] = place(site); return { site, x, y }; });
   const circles = [...marks].reverse().map(({ site, x, y }) => // the worst lie on top
-    svg("a", { href: site.page },
+    svg("a", { href: site.page, tabindex: -1, "aria-label": site.site }, // the list has the same, in an order
       svg("circle", { class: `level-${site.level}`, cx: x, cy: y, r: RADIUS },
         svg("title", {}, `${site.site}: ${t(`level_${site.level}`)}; ${site.text}`))));
   const without = sites.filter((site) => site.latitude_deg === null).map(({ site }) => site);

@@ -50,6 +50,7 @@ def test_all_sites_are_a_list_a_map_and_each_its_record(
             tuple(float(mark.get_attribute(axis) or 0) for axis in ("cx", "cy"))
             for mark in visit.page.locator(".map circle").all()
         ]
+        assert visit.violations() == []
         # The worst is drawn last. It is 7.2 km further east; the scale says how far that is.
         (west, first_y), (east, second_y) = places
         assert first_y == second_y
