@@ -141,7 +141,7 @@ def find_blobs(pixels: PixelArray, shrinks: Sequence[int]) -> tuple[Blobs, Work]
     blobs = join_blobs(parts)
     order = np.argsort(-np.concatenate(sharpness), kind="stable")[:_MOST_REGIONS]
     blobs = blobs.select(order)
-    size = np.linalg.eigvalsh(blobs.outline_px)[:, 0]
+    size = np.ascontiguousarray(np.linalg.eigvalsh(blobs.outline_px)[:, 0])  # as compiled
     alone = sharpest_of_concentric(blobs.points_px, size)
     return blobs.select(alone), work
 
