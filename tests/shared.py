@@ -38,14 +38,14 @@ def new_state(directory: Path) -> Path:
     """A state directory with an empty database, whose tables are made once in a process."""
     database = directory / FILE_NAME
     directory.mkdir()
-    content, mode = _empty_database()
+    content, mode = empty_database()
     database.write_bytes(content)
     database.chmod(mode)
     return directory
 
 
 @cache
-def _empty_database() -> tuple[bytes, int]:
+def empty_database() -> tuple[bytes, int]:
     """Content and mode of a database that all migrations have gone through."""
     with TemporaryDirectory() as directory:
         open_store(Path(directory)).close()

@@ -2,7 +2,8 @@
 
 `writer.py STATE` runs once, undisturbed. `writer.py STATE --kill` runs in STATE/1, STATE/2, ...,
 each run in a process of its own that SIGKILL ends just before its 1st, 2nd, ... step, until a run
-comes through. A step is a sync, a rename, an SQL statement, a commit or an acknowledgement.
+comes through. A step is a sync, a rename, an SQL statement, a commit or an acknowledgement. Each
+run finds an empty database there: that its making may be cut off anywhere is shown in tests/crash.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from daemon.store.database import open_store
 from daemon.store.frames.archive import FrameArchive
 from daemon.store.records import GapCause
 from tests.daemon.store.examples import PERIOD_S, full_record, pair, slot
+from tests.shared import empty_database, new_state
 
 SLOTS = 2
 
@@ -79,11 +81,13 @@ def main() -> None:
     if "--kill" not in sys.argv:
         run(state)
         return
+    empty_database()  # made once, before there are children
     last_step, status = 0, 1
     while status != 0:
         last_step += 1
         child = os.fork()
         if child == 0:
+            new_state(state / str(last_step))
             killed_run(state / str(last_step), last_step)
             os._exit(0)
         _, status = os.waitpid(child, 0)
