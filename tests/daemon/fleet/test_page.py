@@ -6,13 +6,21 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import expect, sync_playwright
+from starlette.applications import Starlette
 
 from benchmarks.page_server import serving
 from benchmarks.record import fill
+from daemon.config.centre import load_centre
+from daemon.fleet.sync import Sync
+from daemon.store.central.writing import SiteFacts
+from daemon.web import site_copy
+from daemon.web.fleet_app import FleetPage
 from tests.daemon.fleet.conftest import Pier, sync
-from tests.daemon.fleet.postgres import Server
+from tests.daemon.fleet.postgres import Proxy, Server
 from tests.daemon.fleet.test_commands import ctl, with_url
 from tests.daemon.web.browsing import CHROMIUM, start_chromium, visiting
+from tests.laboratory import laboratory
+from tests.waiting import wait_for
 
 NAME = "pier one / east"
 
@@ -85,3 +93,31 @@ def test_all_sites_are_a_list_a_map_and_each_its_record(
         other = visit.page.request.get(f"{url}/sites/pier-2/")  # has shared no config
         assert (other.status, "site: missing" in other.text()) == (503, True), other.text()
         assert visit.complaints == []
+
+
+def test_a_site_is_as_of_its_last_copy_once_the_centre_is_away(
+    server: Server, central: str, pier: Pier, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(site_copy, "REFRESH_S", 0.1)
+    facts = SiteFacts("pier-1", 60, None, laboratory(640))
+    Sync(server.url(central), None, pier("one", 3), facts).run()
+    line = Proxy(server.port, lambda _cuts: None)
+    centre = tmp_path / "centre.toml"
+    centre.write_text(f'[fleet]\nurl = "{server.url(central, line.port)}"\n')
+    page = FleetPage(load_centre(centre))
+    scope = {"root_path": "/sites/pier-1", "path": "/sites/pier-1/", "headers": []}
+    try:
+        wait_for(lambda: isinstance(page._app("pier-1", scope), Starlette), "the copy")
+        site = page._open["pier-1"]
+        assert site.page is not None
+        assert site.page.overviews.fields()["verdict"]["word"] == "unknown"  # it never said
+        line.close()
+        wait_for(lambda: site.copy.trouble, "a look at the centre")
+        wait_for(
+            lambda: site.page.overviews.fields()["items"][0]["name"] == "central database",
+            "the page to say so",
+        )
+        assert site.page.record.span() is not None  # what was copied is there
+    finally:
+        page.close()
