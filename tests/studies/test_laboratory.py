@@ -5,6 +5,7 @@ from pathlib import Path
 from studies.keep import Keep
 from studies.laboratory import CODE, run
 from studies.peers import run as run_peers
+from studies.peers_frames import has_programs
 
 
 def test_our_corners_and_model_err_least(tmp_path: Path) -> None:
@@ -19,4 +20,7 @@ def test_our_corners_and_model_err_least(tmp_path: Path) -> None:
     assert report.write(tmp_path / "docs") == []
     peers = run_peers(Keep(tmp_path / "peers", CODE), **few)  # the same frames, not rendered again
     assert peers.tables["peers"].columns[-1].endswith(" s")
+    others = {row[0]: row[2] for row in peers.tables["peers"].rows}
+    assert set(others) == {"dcam", "OpenCV", "mrgingham, ViSP", "mrgingham, ViSP; mrcal"}
+    assert (others["mrgingham, ViSP; mrcal"] != "not run") == has_programs()
     assert [claim.holds for claim in peers.claims] == [True]
