@@ -12,6 +12,7 @@ from __future__ import annotations
 import sys
 import time
 
+import cv2
 import mrcal
 import mrgingham
 import numpy as np
@@ -22,7 +23,8 @@ LENS, BARE = "LENSMODEL_OPENCV5", "LENSMODEL_PINHOLE"
 
 def find(image: np.ndarray, about_px: np.ndarray) -> np.ndarray:
     """The corner that is nearest to where each must be; mrgingham knows square grids only."""
-    candidates = np.asarray(mrgingham.find_chessboard_corners(image))
+    blurred = cv2.blur(image, (3, 3))  # as the program mrgingham does by default
+    candidates = np.asarray(mrgingham.find_chessboard_corners(blurred))
     away = candidates[None] - about_px.reshape(-1, 1, 2)
     distance = np.hypot(away[..., 0], away[..., 1])
     nearest = np.array(candidates[distance.argmin(axis=1)])
