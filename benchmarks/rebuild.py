@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -18,6 +19,7 @@ from benchmarks.reprocess import PLATE, SMALL, arguments, dcam_ctl
 from daemon.store.database import open_store_readonly
 
 SLOTS, REBUILT = 1300, 1000
+DONE = "record-is-whole"
 HISTORY = """
 [simulation]
 seed = 11
@@ -58,7 +60,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="dcam-rebuild-") as scratch:
         directory = options.directory or Path(scratch)
         directory.mkdir(parents=True, exist_ok=True)
-        if not (directory / "state").is_dir():
+        if not (directory / DONE).exists():
             make_record(directory, options.slots)
         print(flags(directory / "state"))
         words = arguments(directory, "verify", "--rebuild", options.rows, "--json")
@@ -72,12 +74,14 @@ def main() -> None:
 
 def make_record(directory: Path, slots: int) -> None:
     """Calibrate with the simulated head, and let dcamd run."""
+    shutil.rmtree(directory / "state", ignore_errors=True)  # of a run that was ended
     (directory / "dcam.toml").write_text(SMALL.read_text() + PLATE + HISTORY)
     dcam_ctl(directory, "calibrate", "--pan-tilt", "--accept")
     site = ("--config", directory / "dcam.toml", "--state", directory / "state")
     words = [sys.executable, "-m", "daemon.main", *map(str, site), "--max-slots", str(slots)]
     with (directory / "dcamd.log").open("w") as log:
         subprocess.run(words, stderr=log, check=True)
+    (directory / DONE).touch()
 
 
 def flags(state: Path) -> dict[str, int]:
