@@ -115,6 +115,12 @@ class Whitening:
         found, _ = dtbtrs(self._factor, hidden, uplo="L")
         return np.asarray(found, dtype=np.float64)
 
+    def squares(self, columns: FloatArray) -> FloatArray:
+        """(k,) c' K^-1 c of each of the columns c (n, k), s^2 = 1; in half the time of `solve`."""
+        half = self.half(np.asfortranarray(np.repeat(columns, self._parts, axis=0)))
+        found: FloatArray = np.sum(columns**2, axis=0) - np.sum(half**2, axis=0)
+        return found
+
 
 @dataclass(frozen=True, slots=True)
 class Gls:

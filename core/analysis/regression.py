@@ -217,7 +217,7 @@ def step_information(whitening: Whitening, fit: Gls) -> FloatArray:
         )
     )
     steps = (np.arange(n)[:, None] >= places).astype(np.float64)
-    own = np.einsum("ij,ij->j", steps, whitening.solve(steps)) / fit.variance_mm2
+    own = whitening.squares(steps) / fit.variance_mm2
     shared = np.cumsum(fit.weighted_design[::-1], axis=0)[::-1]  # (n, p) design' K^-1 step
     taken = np.einsum("ij,jk,ik->i", shared, fit.covariance, shared)
     found = np.interp(np.arange(n), places, own)
@@ -230,7 +230,7 @@ def try_columns(
 ) -> tuple[FloatArray, FloatArray]:
     """Size (k,) and its inverse variance (k,) of each column (n, k), added alone to the design."""
     score = columns.T @ fit.whitened
-    own = np.einsum("ij,ij->j", columns, whitening.solve(columns)) / fit.variance_mm2
+    own = whitening.squares(columns) / fit.variance_mm2
     shared = fit.weighted_design.T @ columns
     taken = np.einsum("ik,ij,jk->k", shared, fit.covariance, shared)
     information = np.maximum(own - taken, 1e-9 * own)
