@@ -136,9 +136,9 @@ def _first_order(values: FloatArray, lag_h: float) -> FloatArray:
     return found
 
 
-CREEP_LAWS = ("logarithmic", "power", "double-exponential", "eurocode2", "aci209")
-OTHER_CREEP = ("mc2010", "b3", "mixture")
-"""What none of the laws that are fitted can follow exactly."""
+CREEP_LAWS = ("logarithmic", "power", "double-exponential", "eurocode2", "aci209", "b3")
+OTHER_CREEP = ("mc2010", "mixture")
+"""What none of the laws that are fitted follows exactly."""
 
 
 def make_creep(law: str, seed: int, days: int = 90) -> tuple[FloatArray, FloatArray, float]:
@@ -178,10 +178,10 @@ def _course(law: str, rng: np.random.Generator, days: FloatArray) -> FloatArray:
             basic = rng.uniform(0.1, 0.4) * np.log1p((30.0 / 28.0 + 0.035) ** 2 * days)
             drying = (days / (rng.uniform(300.0, 1500.0) + days)) ** (1.0 / (2.3 + 3.5 / 28.0**0.5))
             found = basic + drying
-        case "b3":  # Bazant & Baweja: basic creep, and drying creep at 70 % humidity
+        case "b3":  # Bazant & Baweja, at a humidity of 50 to 80 %
             basic = np.log1p(days**0.1)
             dried = np.tanh(np.sqrt(days / by_ratio(100.0, 2000.0)))
-            drying = np.sqrt(np.maximum(np.exp(-8.0 * (1.0 - 0.3 * dried)) - np.exp(-8.0), 0.0))
+            drying = np.sqrt(np.expm1(8.0 * rng.uniform(0.2, 0.5) * dried))
             share = rng.uniform(0.2, 0.8)
             found = share * basic / basic[90 * 24] + (1.0 - share) * drying / drying[90 * 24]
         case "mixture":  # of three of the laws, in shares that are all equally likely

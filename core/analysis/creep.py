@@ -1,4 +1,4 @@
-"""Creep after loading: how well five laws explain the record, and what they predict together.
+"""Creep after loading: how well six laws explain the record, and what they predict together.
 
 Each law is one or two curves f(t; shape) of the time t since loading, with a size each and one
 zero: y = c + sum_k a_k f_k. All shapes within physical bounds are tried on a grid that closes in on

@@ -1,7 +1,8 @@
 """The usual laws of creep after loading: their curves, and what bends them.
 
 Sources: EN 1992-1-1:2004 (B.7); ACI 209R-92, section 2.4; Bazant & Osman, Cem. Concr. Res. 6 (1976)
-for the power law; Kelvin chain of two elements for the double exponential.
+for the power law; Kelvin chain of two elements for the double exponential; Bazant & Baweja, Mater.
+Struct. 28 (1995) 357 for B3, basic creep and drying creep.
 """
 
 from __future__ import annotations
@@ -15,6 +16,10 @@ from core.arrays import FloatArray
 
 _CODE_EXPONENT = 0.3
 """Of EN 1992-1-1 (B.7)."""
+_BASIC_EXPONENT = 0.1
+"""Of B3's basic creep."""
+_DRYING = 8.0
+"""Of B3's drying creep."""
 
 
 class Law(StrEnum):
@@ -25,6 +30,7 @@ class Law(StrEnum):
     DOUBLE_EXPONENTIAL = "double-exponential"
     EUROCODE = "eurocode2"
     ACI = "aci209"
+    B3 = "b3"
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +62,10 @@ SHAPES: dict[Law, tuple[ShapeParameter, ...]] = {
         ShapeParameter("exponent", 0.4, 0.8),
         ShapeParameter("time", 6.0, 30.0),  # the bounds that ACI 209 names
     ),
+    Law.B3: (
+        ShapeParameter("drying_days", 30.0, 3000.0, by_ratio=True),
+        ShapeParameter("humidity", 0.4, 0.9),
+    ),
 }
 """By law; the bounds are physical ones."""
 
@@ -77,6 +87,9 @@ def curves(law: Law, days: FloatArray, shape: FloatArray) -> FloatArray:
             found = (since / (shape + since)) ** _CODE_EXPONENT
         case Law.ACI:
             found = since ** shape[0] / (shape[1] + since ** shape[0])
+        case Law.B3:
+            dried = _DRYING * (1.0 - shape[1]) * np.tanh(np.sqrt(since / shape[0]))
+            found = np.hstack([np.log1p(since**_BASIC_EXPONENT), np.sqrt(np.expm1(dried))])
         case Law.DOUBLE_EXPONENTIAL:
             found = -np.expm1(-since / shape)
     return found

@@ -78,7 +78,10 @@ def test_the_fast_inverse_is_that_of_the_covariance() -> None:
     apart = np.abs(days[:, None] - days)
     K = np.eye(60) + sum(g**2 * np.exp(-apart / m) for g, m in zip(gains, memories, strict=True))
     whitening = Whitening(days, gains, memories)
-    assert whitening.solve(np.eye(60)) == pytest.approx(np.linalg.inv(K), abs=1e-9)
+    inverse = np.linalg.inv(K)
+    assert whitening.solve(np.eye(60)) == pytest.approx(inverse, abs=1e-9)
+    columns = rng.normal(size=(60, 3))
+    assert whitening.squares(columns) == pytest.approx(np.diag(columns.T @ inverse @ columns))
     assert whitening.log_determinant == pytest.approx(np.linalg.slogdet(K)[1])
 
 
@@ -257,15 +260,14 @@ def test_the_level_after_an_event_less_that_before_lies_in_its_interval() -> Non
 def test_creep_of_90_days_predicts_a_year_by_whatever_law() -> None:
     """The benchmark holds 200 bridges; here each law once."""
     inside, named = 0, 0
-    for number in range(5):
-        law = CREEP_LAWS[number % len(CREEP_LAWS)]
+    for number, law in enumerate(CREEP_LAWS):
         times_s, values_mm, truth = make_creep(law, seed=number)
         found = fit_creep(times_s, values_mm, BEGIN_S, [365.0])
         (prediction,) = found.predictions
         inside += prediction.mm.low <= truth <= prediction.mm.high
         named += found.laws[0].law.value == law
         assert sum(one.probability for one in found.laws) == pytest.approx(1.0)
-    assert inside >= 3
+    assert inside >= len(CREEP_LAWS) - 2
     assert named >= 3
 
 
