@@ -75,8 +75,10 @@ class CommonShift:
     weights: FloatArray
     """(k,) summing to 1."""
     residual_px: float
-    """rms of the discs about their common shift, turn and change of scale: a lens that warms and a
-    plate that turns move them against one another, too."""
+    """rms of the discs about their common shift and change of scale, which a lens that warms makes.
+    A turn that the rig's roll does not explain is in it: the board was turned."""
+    scatter_px: float
+    """Likewise about their turn, too: what noise and disturbances leave."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,9 +148,13 @@ def _common_shift(
     mean = weights @ miss_px
     turn, growth = np.einsum("mka,ka->m", turn_and_scale_of(weights, points_px), miss_px)
     x, y = (points_px - weights @ points_px).T
-    alike = np.stack([growth * x - turn * y, growth * y + turn * x], axis=1)
-    squares = ((miss_px - mean - alike) ** 2).sum(axis=1) / 2.0
-    return mean, CommonShift(which, weights, float(np.sqrt(weights @ squares)))
+    left = miss_px - mean - growth * np.stack([x, y], axis=1)
+    turned = turn * np.stack([-y, x], axis=1)
+
+    def rms(miss: FloatArray) -> float:
+        return float(np.sqrt(weights @ (miss**2).sum(axis=1) / 2.0))
+
+    return mean, CommonShift(which, weights, rms(left), rms(left - turned))
 
 
 def raw_displacement(
@@ -181,7 +187,7 @@ def _disc_noise(
     each = discs.covariance_px2[shift.which] + DISC_FLOOR_PX**2 * np.eye(2)
     predicted = np.einsum("k,kab->ab", shift.weights**2, each)
     n = len(shift.which)
-    spread_px2 = shift.residual_px**2 / (n - 2)
+    spread_px2 = shift.scatter_px**2 / (n - 2)
     share = noise_share(
         np.trace(predicted) / 2.0, np.trace(reference_px2) / 2.0, spread_px2, 2 * (n - 2)
     )

@@ -43,7 +43,7 @@ MEANINGS: dict[str, Meaning] = {
     ),
     "discs_found": Meaning("", "discs of the main target that were found"),
     "corners_used": Meaning("", "corners of the sub target that the pose rests on"),
-    "main_residual_px": Meaning("px", "rms distance of the discs from the target as a whole"),
+    "main_residual_px": Meaning("px", "rms distance of the discs from where the pose puts them"),
     "sub_residual_px": Meaning("px", "rms distance of the corners from where the pose puts them"),
     "main_contrast_dn": Meaning("dn", "light less dark of the main target, grey values"),
     "sub_contrast_dn": Meaning("dn", "light less dark of the sub target, grey values"),
