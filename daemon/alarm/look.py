@@ -83,7 +83,7 @@ def find_wrong(place: Place, memory: Memory, now_utc: datetime) -> Found:
         return Found([_of_error(place.config)], whole=False)
     settings = place.settings
     try:
-        facts = collect_facts(place.config, place.state, now_utc)
+        facts = collect_facts(place.config, place.state, now_utc, with_budget=False)
         items = judge(facts)
         wrong = of_status(items, settings) + of_calibration_age(facts, settings)
     except Exception as error:  # noqa: BLE001 - whatever hides how the site is must be sent

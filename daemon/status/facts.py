@@ -132,8 +132,13 @@ class Facts:
     """Of the readings without a value in the last row: when that began, where it is known."""
 
 
-def collect_facts(config: Config, state: Path, now_utc: datetime) -> Facts:
-    """Collect the facts of a site as of a time. Raises StoreError, OSError."""
+def collect_facts(
+    config: Config, state: Path, now_utc: datetime, *, with_budget: bool = True
+) -> Facts:
+    """Collect the facts of a site as of a time. Raises StoreError, OSError.
+
+    What makes most of the sigma needs Numba, 120 MB: not for what runs all the time.
+    """
     simulated = config.has_stepped_clock
     with open_overview(state) as overview:
         accounted, last = overview.accounted(), overview.last_row()
@@ -155,7 +160,7 @@ def collect_facts(config: Config, state: Path, now_utc: datetime) -> Facts:
             closure_24h=overview.closure(now_utc - DAY, until_utc),
             closure_30d=overview.closure(now_utc - MONTH, until_utc),
             targets=tuple(overview.targets(now_utc - DAY, until_utc)),
-            largest_term=_largest_term(config, last, calibration),
+            largest_term=_largest_term(config, last, calibration) if with_budget else None,
             config_hash=config.config_hash(),
             coverage_24h=_coverage(config, overview, accounted, now_utc, DAY),
             coverage_30d=_coverage(config, overview, accounted, now_utc, MONTH),

@@ -7,7 +7,6 @@ import time
 from datetime import UTC, datetime
 
 from daemon.alarm.armed import all_items
-from daemon.reports.metrics import metrics_text, no_metrics_text
 from daemon.status.facts import collect_facts
 from daemon.status.verdict import no_verdict
 from daemon.web.settings import Settings
@@ -35,9 +34,12 @@ class Metrics:
             return self._kept
 
     def _collected(self) -> bytes:
+        from daemon.reports.metrics import metrics_text, no_metrics_text  # 2 MB, few sites ask
+
         site = self._settings.site
         try:
-            facts = collect_facts(site.config, self._settings.state, datetime.now(UTC))
+            now_utc = datetime.now(UTC)
+            facts = collect_facts(site.config, self._settings.state, now_utc, with_budget=False)
             return metrics_text(facts, all_items(site.config, self._settings.state, facts))
         except Exception as error:  # noqa: BLE001 - whatever hides how the site is must be told
             return no_metrics_text(no_verdict(error))

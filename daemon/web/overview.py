@@ -71,13 +71,14 @@ class Overviews:
         config, now_utc = self._settings.site.config, datetime.now(UTC)
         head = _head(config, now_utc)
         try:
-            facts = collect_facts(config, self._settings.state, now_utc)
+            facts = collect_facts(config, self._settings.state, now_utc, with_budget=False)
             with Record(self._settings.state).reading() as connection:
                 named = readings_named(connection)
         except (StoreError, OSError) as error:
             return {**head, **_judged([no_verdict(error)]), "span": None, "last": None}
         if config.has_stepped_clock and facts.last is not None:  # its time is not this machine's
-            facts = collect_facts(config, self._settings.state, facts.last.slot_utc)
+            slot_utc = facts.last.slot_utc
+            facts = collect_facts(config, self._settings.state, slot_utc, with_budget=False)
         named = {one.name: one.unit for one in config.reading} | named
         return {
             **head,

@@ -26,7 +26,7 @@ from daemon.times import slot_text
 from daemon.web.asking import seconds
 from daemon.web.follower import day_text
 from daemon.web.overview import points_of
-from daemon.web.pyramid import DAY_S, EPOCH_S, Pyramid, merged
+from daemon.web.pyramid import DAY_S, EPOCH_S, LEVELS, Pyramid, merged
 from daemon.web.record import Record
 from daemon.web.series import entry_fields
 
@@ -78,11 +78,12 @@ def days(
     first = (int(seconds(since)) - EPOCH_S) // DAY_S
     count = (int(seconds(until)) - EPOCH_S - 1) // DAY_S - first + 1
     known = pyramid.read_days(first, count)
-    a_day = DAY_S // pyramid.lowest_s
+    level = max(one for one in range(LEVELS) if DAY_S % pyramid.width_s(one) == 0)
+    a_day = DAY_S // pyramid.width_s(level)
     axes = {}
     for axis in ("x_mm", "y_mm"):
-        lowest = pyramid.read(0, f"{axis}.main", first * a_day, count * a_day)
-        axes[axis] = merged(lowest, a_day)
+        parts = pyramid.read(level, f"{axis}.main", first * a_day, count * a_day)
+        axes[axis] = merged(parts, a_day)
     found = []
     for place, day in enumerate(known):
         begin_s = EPOCH_S + (first + place) * DAY_S
