@@ -144,15 +144,17 @@ def _insert(path: Path, slots: int, peak: int) -> None:
 
 
 def _sign(path: Path, peak: datetime) -> None:
-    """Give the last rows, and that of the peak, the checksums of what they are now.
+    """Give the last rows, those before today, and that of the peak, the checksums they need.
 
     Of all rows it would take minutes; figures are drawn without looking at them.
     """
     with closing(sqlite3.connect(path)) as connection, connection:
         rows = connection.execute(
             "SELECT * FROM measurement WHERE slot_utc = ? UNION"
-            " SELECT * FROM (SELECT * FROM measurement ORDER BY slot_utc DESC LIMIT ?)",
-            (slot_text(peak), SIGNED),
+            " SELECT * FROM (SELECT * FROM measurement ORDER BY slot_utc DESC LIMIT ?) UNION"
+            " SELECT * FROM (SELECT * FROM measurement WHERE slot_utc <= ?"
+            " ORDER BY slot_utc DESC LIMIT ?)",
+            (slot_text(peak), SIGNED, f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}", SIGNED),
         )
         names = [name for name, *_ in rows.description]
         columns = dict(zip(names, zip(*rows.fetchall(), strict=True), strict=True))
