@@ -131,6 +131,8 @@ def study_coverage(count: int, first: int) -> Iterator[str]:
             if not interval.low <= truth <= interval.high:
                 off = f"{(interval.value - truth) / interval.sigma:+.1f} sigma"
                 yield f"bridge {seed}, {kind}: {name} {interval.value:.4f}, not {truth:.4f}, {off}"
+        if (seed - first) % 5 == 4:
+            yield f"{seed - first + 1} bridges: {held.total()} of {asked.total()} intervals hold"
     for key in sorted(asked):
         yield f"{key[0]}, {key[1]}: the 95 % interval holds {held[key]} of {asked[key]}"
     yield f"{otherwise} bridges have another number of masses than was found"
