@@ -217,14 +217,14 @@ def test_squares_of_another_size_in_the_config_are_named(
 ) -> None:
     """Not passed, not active: the number that is wrong, what it should be, what to measure."""
     config = tmp_path / "dcam.toml"
-    config.write_text(CONFIG.replace("square_mm = 2.0", "square_mm = 3.0"))
+    config.write_text(CONFIG.replace("square_mm = 4.0", "square_mm = 6.0"))
     state = tmp_path / "state"
     ran = ctl("--config", config, "--state", state, "calibrate", "--from", bench / "set")
     assert ran.code == 1
     verdict = ran.out.splitlines()[0]
     assert verdict.startswith("calibration NOT passed: ")
-    assert "target.sub.square_mm is likely about 2" in verdict
-    assert "measure the print: by the config the board's 32 x 31 squares are 96.0 x 93.0" in verdict
+    assert "target.sub.square_mm is likely about 4" in verdict
+    assert "measure the print: by the config the board's 16 x 15 squares are 96.0 x 90.0" in verdict
     with open_store_readonly(state) as store:
         assert store.active_calibration() is None
 

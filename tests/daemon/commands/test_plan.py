@@ -12,11 +12,7 @@ import pytest
 
 from tests.daemon.commands.conftest import CONFIG, Ctl, Ran
 
-SITE = (
-    CONFIG.replace("squares_x = 32", "squares_x = 16")
-    .replace("squares_y = 31", "squares_y = 14")
-    .replace("square_mm = 2.0", "square_mm = 4.0")
-)
+SITE = CONFIG.replace("squares_y = 15", "squares_y = 14")
 """Few corners, so that many plans take little time; nothing about it is to be warned of."""
 
 

@@ -25,7 +25,7 @@ centres_mm = [[-7.5, 5.5], [7.5, 5.5], [0.0, 0.0], [-7.5, -5.5], [7.5, -5.5]]
 diameter_mm = 4.0
 distance_mm = 11125.0
 """
-ALONE = laboratory(960)
+ALONE = laboratory(960, square_mm=4.0)
 CONFIG = ALONE + FIXED
 SETTINGS = SimSettings(
     seed=11,

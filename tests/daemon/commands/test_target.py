@@ -16,19 +16,19 @@ from core.discs.disc_finder import find_discs
 from core.images import GreyImage
 from core.site import CheckerboardTarget, CirclesTarget
 from daemon.config.reading import load_config
-from tests.daemon.commands.conftest import CONFIG, Ctl
+from tests.daemon.commands.conftest import LABORATORY, Ctl
 
 DPI = 200.0
 PX_PER_MM = DPI / 25.4
 FIELD = (
-    CONFIG.replace(
+    LABORATORY.replace(
         "[[-15.0, 11.0], [15.0, 11.0], [0.0, 0.0], [-15.0, -11.0], [15.0, -11.0]]",
         "[[-30.0, 22.0], [30.0, 22.0], [0.0, 0.0], [-30.0, -22.0], [30.0, -22.0]]",
     )
     .replace("diameter_mm = 8.0", "diameter_mm = 16.0")
     .replace("distance_mm = 11000.0", "distance_mm = 22000.0")
 )
-LOPSIDED = CONFIG.replace("[0.0, 0.0]", "[4.0, 3.0]")
+LOPSIDED = LABORATORY.replace("[0.0, 0.0]", "[4.0, 3.0]")
 """No mirror image of itself."""
 
 
@@ -92,7 +92,9 @@ def similarity(from_mm: np.ndarray, to_mm: np.ndarray) -> tuple[np.ndarray, np.n
     return solution[:2].T, solution[2], float(miss)
 
 
-@pytest.mark.parametrize("config", [CONFIG, CONFIG.replace("squares_x = 32", "squares_x = 21")])
+@pytest.mark.parametrize(
+    "config", [LABORATORY, LABORATORY.replace("squares_x = 32", "squares_x = 21")]
+)
 def test_the_printed_board_is_the_one_the_software_finds(
     ctl: Ctl, tmp_path: Path, config: str
 ) -> None:
@@ -112,7 +114,7 @@ def test_the_printed_board_is_the_one_the_software_finds(
 def test_the_square_at_the_origin_is_black_and_the_board_stands_on_white(
     ctl: Ctl, tmp_path: Path
 ) -> None:
-    page = printed(ctl, tmp_path, CONFIG)["target-sub"]
+    page = printed(ctl, tmp_path, LABORATORY)["target-sub"]
     target: CheckerboardTarget = site_of(tmp_path).sub_target
     x, y = page.described["origin_mm"]
     size = np.array([target.squares_x, target.squares_y]) * target.square_mm
@@ -154,7 +156,7 @@ def test_the_printed_discs_are_the_ones_the_software_finds(
 
 @pytest.mark.parametrize("name", ["target-main", "target-sub"])
 def test_rulers_are_true_in_both_directions(ctl: Ctl, tmp_path: Path, name: str) -> None:
-    page = printed(ctl, tmp_path, CONFIG)[name]
+    page = printed(ctl, tmp_path, LABORATORY)[name]
     assert {ruler["vertical"] for ruler in page.described["rulers"]} == {True, False}
     for ruler in page.described["rulers"]:
         marks = page.marks_mm(ruler)
@@ -165,7 +167,7 @@ def test_rulers_are_true_in_both_directions(ctl: Ctl, tmp_path: Path, name: str)
 
 
 def test_a_sheet_names_its_site_its_drawing_and_how_to_mount_it(ctl: Ctl, tmp_path: Path) -> None:
-    pages = printed(ctl, tmp_path, CONFIG.replace('"bench"', '"Brücke 橋"'))
+    pages = printed(ctl, tmp_path, LABORATORY.replace('"bench"', '"Brücke 橋"'))
     for page in pages.values():
         for words in ("Brücke", "100 %", "glass", "foam", "matt"):
             assert words in page.text
@@ -178,12 +180,14 @@ def test_a_sheet_names_its_site_its_drawing_and_how_to_mount_it(ctl: Ctl, tmp_pa
 
 
 def test_the_page_fits_the_target(ctl: Ctl, tmp_path: Path) -> None:
-    a4 = printed(ctl, tmp_path, CONFIG)["target-sub"]
+    a4 = printed(ctl, tmp_path, LABORATORY)["target-sub"]
     assert a4.described["page"] == "A4"
     assert a4.size_mm == pytest.approx([210.0, 297.0], abs=0.01)
-    a3 = printed(ctl, tmp_path, CONFIG.replace("square_mm = 2.0", "square_mm = 7.0"))["target-sub"]
+    a3 = printed(ctl, tmp_path, LABORATORY.replace("square_mm = 2.0", "square_mm = 7.0"))[
+        "target-sub"
+    ]
     assert a3.described["page"] == "A3"
-    own = printed(ctl, tmp_path, CONFIG.replace("square_mm = 2.0", "square_mm = 14.0"))
+    own = printed(ctl, tmp_path, LABORATORY.replace("square_mm = 2.0", "square_mm = 14.0"))
     assert own["target-sub"].size_mm[0] > 32 * 14.0 + 20.0
     assert own["target-sub"].size_mm == pytest.approx(
         own["target-sub"].described["page_mm"], abs=0.01
@@ -191,7 +195,7 @@ def test_the_page_fits_the_target(ctl: Ctl, tmp_path: Path) -> None:
 
 
 def test_a_directory_that_cannot_be_made_is_said_in_one_line(ctl: Ctl, tmp_path: Path) -> None:
-    (tmp_path / "dcam.toml").write_text(CONFIG)
+    (tmp_path / "dcam.toml").write_text(LABORATORY)
     (tmp_path / "file").write_text("")
     ran = ctl(
         *("--config", tmp_path / "dcam.toml", "--state", tmp_path / "state"),
