@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -60,8 +59,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="dcam-rebuild-") as scratch:
         directory = options.directory or Path(scratch)
         directory.mkdir(parents=True, exist_ok=True)
-        if not (directory / DONE).exists():
+        if not (directory / "state").is_dir():
             make_record(directory, options.slots)
+        elif not (directory / DONE).exists():
+            parser.error(f"{directory}: its record was cut; remove it, or give another directory")
         print(flags(directory / "state"))
         words = arguments(directory, "verify", "--rebuild", options.rows, "--json")
         ran = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=False)
@@ -74,7 +75,6 @@ def main() -> None:
 
 def make_record(directory: Path, slots: int) -> None:
     """Calibrate with the simulated head, and let dcamd run."""
-    shutil.rmtree(directory / "state", ignore_errors=True)  # of a run that was ended
     (directory / "dcam.toml").write_text(SMALL.read_text() + PLATE + HISTORY)
     dcam_ctl(directory, "calibrate", "--pan-tilt", "--accept")
     site = ("--config", directory / "dcam.toml", "--state", directory / "state")
