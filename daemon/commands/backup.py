@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import click
 
 from daemon.commands.options import Options, common_options, json_option, pass_options, tz_option
 from daemon.commands.output import print_json, progress, say
+from daemon.commands.priority import lowest_priority
 from daemon.store.copying import require_replaceable
 from daemon.store.database import open_store_readonly
 from daemon.text import bytes_text, utc_text
-
-_LOWEST_PRIORITY = 19
 
 
 @click.command(
@@ -34,8 +32,7 @@ def command(options: Options, file: Path, *, force: bool, as_json: bool) -> None
     --force. To restore: stop dcamd, move dcam.db, dcam.db-wal and dcam.db-shm aside, copy FILE to
     dcam.db, start dcamd.
     """
-    os.nice(_LOWEST_PRIORITY)
-    with open_store_readonly(options.state) as store:
+    with lowest_priority(), open_store_readonly(options.state) as store:
         require_replaceable(file, force=force)
         with progress(1, "copying") as steps:
             copied = store.backup(file, steps.at)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from datetime import datetime
@@ -39,8 +38,6 @@ from daemon.store.verification import (
 if TYPE_CHECKING:  # the numerics are loaded by who rebuilds rows
     from daemon.slots.rebuilding import Rebuilt
 
-_LOWEST_PRIORITY = 19
-
 
 @click.command("verify", epilog="\b\nExample:\n  dcam-ctl verify --since 30d")
 @click.option(
@@ -70,9 +67,12 @@ def command(options: Options, since: datetime | None, rebuild: int | None, *, as
     as long as copying them.
     Exit code 0 when all is well, 1 with findings.
     """
-    os.nice(_LOWEST_PRIORITY)
     counted, rebuilt = Counted(), None
-    with open_store_readonly(options.state) as store, progress(1, "reading") as steps:
+    with (
+        lowest_priority(),
+        open_store_readonly(options.state) as store,
+        progress(1, "reading") as steps,
+    ):
         findings = list(_findings(options, store, since, steps, counted))
         if rebuild is not None:
             rebuilt, differing = _rebuild(options, store, rebuild, since, steps)
