@@ -18,6 +18,7 @@ from daemon.commands.options import (
     utc_time,
 )
 from daemon.commands.output import Steps, note, print_json, progress, say
+from daemon.commands.priority import lowest_priority
 from daemon.error_report import lines_of
 from daemon.errors import DatabaseDamagedError, DcamError, ExitCode
 from daemon.status.archive_check import ArchiveCheck, Removed
