@@ -16,8 +16,8 @@ from scipy.signal import lfilter
 
 from core.arrays import FloatArray
 from core.results import Displacement, Flag, Measurement
-from daemon.store.checksum_columns import row_digests
 from daemon.store.database import open_store
+from daemon.store.integrity.checksum_columns import row_digests
 from daemon.store.records import MeasurementRecord, Reading
 from daemon.times import EPOCH, instant_text, slot_text
 

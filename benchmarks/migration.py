@@ -18,10 +18,10 @@ from pathlib import Path
 from alembic import command
 
 from daemon.store import migrate
-from daemon.store.checksum import row_digest
-from daemon.store.columns import read_columns
 from daemon.store.database import open_store
 from daemon.store.engine import make_engine
+from daemon.store.integrity.checksum import row_digest
+from daemon.store.queries.columns import read_columns
 from daemon.times import slot_text
 
 BEGIN = datetime(2024, 3, 1, tzinfo=UTC)

@@ -23,8 +23,8 @@ from core.results import (
     TargetMeasurement,
 )
 from core.site import Site, TargetRole
-from daemon.store.checksum_columns import row_digests
 from daemon.store.database import Store, open_store
+from daemon.store.integrity.checksum_columns import row_digests
 from daemon.store.records import (
     CalibrationRecord,
     CameraState,

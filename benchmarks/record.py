@@ -30,8 +30,8 @@ from core.results import (
     Measurement,
     RigMotion,
 )
-from daemon.store.checksum_columns import row_digests
 from daemon.store.database import Store, open_store
+from daemon.store.integrity.checksum_columns import row_digests
 from daemon.store.records import CalibrationRecord, CameraState, GapCause, MeasurementRecord
 from daemon.times import instant_text, slot_text
 

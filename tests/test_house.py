@@ -42,7 +42,8 @@ CORE_MAY_NOT_CALL = {
 BREAKS = {
     "layers": ("core/errors.py", "import drivers.errors"),
     "rooms-of-core": ("core/geometry/pose.py", "import core.rig.rigid"),
-    "rooms-of-daemon": ("daemon/store/gaps.py", "import daemon.slots.runner"),
+    "rooms-of-daemon": ("daemon/store/rows/gaps.py", "import daemon.slots.runner"),
+    "rooms-of-store": ("daemon/store/rows/gaps.py", "import daemon.store.database"),
     "rooms-of-drivers": ("drivers/heads/moves.py", "import drivers.sim.head_axis"),
     "core-is-pure": ("core/site.py", "import time"),
     "drivers-are-small": ("drivers/errors.py", "import sqlalchemy"),

@@ -13,7 +13,7 @@ import numpy as np
 from core.analysis.alarm_rules import LEAST_ROWS, Judged, Limits, Samples, judge_level, judge_rate
 from daemon.alarm.wrong import Wrong, level_of
 from daemon.config.alarm import AlarmSection, RateAlarm, ReadingAlarm, ValueAlarm
-from daemon.store.point_rows import PointRows, open_points, point_rows, reading_rows
+from daemon.store.queries.point_rows import PointRows, open_points, point_rows, reading_rows
 from daemon.text import utc_text
 
 SECOND = timedelta(seconds=1)

@@ -6,8 +6,8 @@ from datetime import datetime
 
 from daemon.analysis.record import read_record
 from daemon.analysis.study import Asked, Study, study
-from daemon.store.columns import Tell
 from daemon.store.database import Store
+from daemon.store.queries.columns import Tell
 from daemon.store.recorded_span import recorded_span
 
 

@@ -13,10 +13,10 @@ from core.arrays import FloatArray
 from core.results import Flag
 from core.site import MAIN, TargetRole
 from daemon.errors import UsageError, WorkFailedError
-from daemon.store.columns import Columns, Tell, read_columns, target_roles
-from daemon.store.exclusion import ExcludedRows, Exclusion, read_exclusion
-from daemon.store.sensors import Sensor, sensor_columns, sensors_within
-from daemon.store.targets import values_of_targets
+from daemon.store.ledger.exclusion import ExcludedRows, Exclusion, read_exclusion
+from daemon.store.queries.columns import Columns, Tell, read_columns, target_roles
+from daemon.store.queries.sensors import Sensor, sensor_columns, sensors_within
+from daemon.store.rows.targets import values_of_targets
 from daemon.times import utc_array
 
 CAMERAS = {"main-camera": "main_temperature_c", "sub-camera": "sub_temperature_c"}

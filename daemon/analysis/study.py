@@ -17,7 +17,7 @@ from core.arrays import BoolArray, FloatArray
 from core.site import MAIN
 from daemon.analysis.days import Day, days_of
 from daemon.analysis.record import Channel, Record
-from daemon.store.exclusion import ExcludedRows
+from daemon.store.ledger.exclusion import ExcludedRows
 
 LEAST_DAYS = 5.0
 """Days with hourly means below which nothing but the days' figures is given."""

@@ -22,9 +22,9 @@ from daemon.config.reading import Config
 from daemon.datum.candidates import NewReference
 from daemon.slots.identity import made_by
 from daemon.slots.measuring import row_moment
-from daemon.store.circumstances import KEY, Circumstances
 from daemon.store.database import Store
 from daemon.store.records import CalibrationRecord, DatumRecord, Reading
+from daemon.store.rows.circumstances import KEY, Circumstances
 from drivers.errors import FrameSetError
 from drivers.frameset import FrameSet, FrameSetRow, format_slot, read_frame_set
 from drivers.protocols import Role

@@ -16,7 +16,7 @@ from daemon.config.reading import Config
 from daemon.datum.choice import find_zero
 from daemon.errors import ExitCode
 from daemon.store.database import Store
-from daemon.store.datum_fields import datum_fields
+from daemon.store.queries.datum_fields import datum_fields
 from daemon.store.records import DatumRecord
 
 

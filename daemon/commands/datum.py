@@ -23,7 +23,7 @@ from daemon.commands.options import (
 from daemon.commands.output import print_json, print_table, say
 from daemon.errors import UsageError, WorkFailedError
 from daemon.store.database import Store, open_store, open_store_readonly
-from daemon.store.datum_fields import datum_fields, sigmas_mm
+from daemon.store.queries.datum_fields import datum_fields, sigmas_mm
 from daemon.store.records import CalibrationRecord, DatumRecord
 from daemon.text import utc_text
 

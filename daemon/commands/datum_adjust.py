@@ -21,10 +21,10 @@ from daemon.datum.overlap import FEWEST, overlap_step
 from daemon.errors import UsageError, WorkFailedError
 from daemon.reprocessing.frames import KeptFrames, SetFrames, SlotFrames, measure_alone
 from daemon.slots.measuring import ActiveCalibration
-from daemon.store.circumstances import circumstances_of
 from daemon.store.database import NEVER, Store
-from daemon.store.datum_fields import offset_text
+from daemon.store.queries.datum_fields import offset_text
 from daemon.store.records import DatumMethod, DatumRecord, DatumStep
+from daemon.store.rows.circumstances import circumstances_of
 
 MOST_PAIRS = 24
 """Kept pairs that are measured; more than some tens change nothing."""

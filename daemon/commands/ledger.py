@@ -26,14 +26,14 @@ from daemon.commands.options import (
 from daemon.commands.output import print_json, print_table, say
 from daemon.errors import UsageError
 from daemon.store.database import open_store, open_store_readonly
-from daemon.store.ledger import (
+from daemon.store.ledger.entries import (
     LedgerEntry,
     LedgerKind,
     in_force,
     read_ledger,
     undone,
 )
-from daemon.store.ledger_fields import entry_fields, span_fields
+from daemon.store.ledger.fields import entry_fields, span_fields
 from daemon.store.runs import next_second
 from daemon.text import utc_text
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
-from daemon.store.json_fields import plain
+from daemon.store.queries.json_fields import plain
 from daemon.store.records import GapRecord
 from daemon.text import visible
 from daemon.zones import in_zone

@@ -38,7 +38,7 @@ from daemon.reprocessing.remote import is_url
 from daemon.reprocessing.running import WORTH_SHARING, seen_slots
 from daemon.slots.measuring import ActiveCalibration
 from daemon.store.database import NEVER, open_store_readonly
-from daemon.store.json_fields import result_fields
+from daemon.store.queries.json_fields import result_fields
 from daemon.store.records import CalibrationRecord, DatumRecord
 from daemon.times import EPOCH
 

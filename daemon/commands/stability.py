@@ -60,7 +60,7 @@ def command(
     fixed target, a week of rows with the camera's temperature, and a change of temperature.
     """
     from core.rig.learning import fit_rig
-    from daemon.store.closure_hours import read_closure_hours
+    from daemon.store.queries.closure_hours import read_closure_hours
 
     site = options.config.site()
     with open_store_readonly(options.state) as store:

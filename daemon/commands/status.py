@@ -27,9 +27,9 @@ from daemon.status.answers import answers
 from daemon.status.facts import Facts, collect_facts
 from daemon.status.item import Item, Level, worst
 from daemon.status.verdict import no_verdict
-from daemon.store.datum_fields import datum_fields
-from daemon.store.json_fields import result_fields, target_fields
-from daemon.store.overview import TargetSummary
+from daemon.store.queries.datum_fields import datum_fields
+from daemon.store.queries.json_fields import result_fields, target_fields
+from daemon.store.queries.overview import TargetSummary
 from daemon.store.records import Coverage
 from daemon.text import utc_text
 

@@ -82,7 +82,7 @@ def _put_status(options: Options, central: Central, site_id: int) -> None:
     from daemon.status.item import Level, worst
     from daemon.status.verdict import no_verdict
     from daemon.store.central.writing import put_status
-    from daemon.store.json_fields import plain
+    from daemon.store.queries.json_fields import plain
 
     try:
         facts = collect_facts(options.config, options.state, datetime.now(UTC))

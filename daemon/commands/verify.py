@@ -23,9 +23,9 @@ from daemon.error_report import lines_of
 from daemon.errors import DatabaseDamagedError, DcamError, ExitCode
 from daemon.status.archive_check import ArchiveCheck, Removed
 from daemon.store.accounting import ScheduleEpoch, read_epochs
+from daemon.store.damage_note import databases_set_aside, note_damage
 from daemon.store.database import Store, open_store_readonly
 from daemon.store.records import Mark
-from daemon.store.salvage.damage_note import databases_set_aside, note_damage
 from daemon.store.verification import (
     SALVAGE,
     Counted,

@@ -34,12 +34,12 @@ from daemon.slots.measuring import (
     read_pair,
     row_moment,
 )
-from daemon.store.circumstances import circumstances_of
-from daemon.store.columns import read_columns
-from daemon.store.convert import measurement_record
 from daemon.store.database import Store
-from daemon.store.datum_fields import offset_text
+from daemon.store.queries.columns import read_columns
+from daemon.store.queries.datum_fields import offset_text
 from daemon.store.records import CalibrationRecord, DatumMethod, DatumRecord, DatumStep
+from daemon.store.rows.circumstances import circumstances_of
+from daemon.store.rows.convert import measurement_record
 from drivers.errors import DriverError
 from drivers.frameset import FrameSetRow, read_frame_set
 

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from core.arrays import FloatArray
-from daemon.store import column_meanings
-from daemon.store.columns import Columns
-from daemon.store.schema import Kind, MeasurementRow, kind_of
-from daemon.store.targets import (
+from daemon.store.queries import column_meanings
+from daemon.store.queries.columns import Columns
+from daemon.store.rows.targets import (
     stored_targets,
     target_of_column,
     values_of_targets,
 )
+from daemon.store.schema import Kind, MeasurementRow, kind_of
 from drivers.libraries import require_library
 
 LAYOUT = 1

@@ -13,7 +13,7 @@ from daemon.durable import write_durable
 from daemon.errors import UsageError
 from daemon.fleet.opening import opened
 from daemon.outputs.row_fields import slug
-from daemon.store.columns import Tell
+from daemon.store.queries.columns import Tell
 
 if TYPE_CHECKING:
     from daemon.fleet.verdict import SiteVerdict

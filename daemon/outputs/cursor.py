@@ -11,8 +11,8 @@ from pathlib import Path
 from daemon.durable import make_directory_durable, write_durable
 from daemon.errors import HardwareError
 from daemon.file_errors import file_error_text
-from daemon.store.arrivals import Arrival, Arrivals
-from daemon.store.progress import Progress
+from daemon.store.queries.arrivals import Arrival, Arrivals
+from daemon.store.queries.progress import Progress
 
 
 class CursorError(HardwareError):

@@ -14,7 +14,7 @@ from daemon.outputs.certificates import certificate_refused, missing_file
 from daemon.outputs.line_protocol import lines_of_row
 from daemon.outputs.output import NotTakenError
 from daemon.outputs.secret import read_secret
-from daemon.store.arrivals import Arrival
+from daemon.store.queries.arrivals import Arrival
 from daemon.text import visible
 from drivers.libraries import require_library
 

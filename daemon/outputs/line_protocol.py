@@ -10,9 +10,9 @@ from collections.abc import Iterator, Mapping
 from datetime import datetime
 
 from daemon.outputs.row_fields import COUNTS, NUMBERS
-from daemon.store.arrivals import Arrival
-from daemon.store.convert import stored_readings
-from daemon.store.targets import TARGET_COLUMNS, target_values, targets_of
+from daemon.store.queries.arrivals import Arrival
+from daemon.store.rows.convert import stored_readings
+from daemon.store.rows.targets import TARGET_COLUMNS, target_values, targets_of
 
 Value = float | int | bool | str
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from daemon.errors import HardwareError
-from daemon.store.arrivals import Arrival
+from daemon.store.queries.arrivals import Arrival
 
 
 class NotTakenError(HardwareError):

@@ -7,10 +7,10 @@ import re
 from typing import Any
 
 from core.results import Flag
-from daemon.store.arrivals import Arrival
-from daemon.store.convert import RESULT_COLUMNS, STABILITY_COLUMNS, stored_readings
-from daemon.store.json_fields import target_fields
-from daemon.store.targets import targets_of
+from daemon.store.queries.arrivals import Arrival
+from daemon.store.queries.json_fields import target_fields
+from daemon.store.rows.convert import RESULT_COLUMNS, STABILITY_COLUMNS, stored_readings
+from daemon.store.rows.targets import targets_of
 
 SCHEMA = 1
 

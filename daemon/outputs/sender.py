@@ -14,7 +14,7 @@ from daemon.errors import StoreError
 from daemon.outputs.backoff import Backoff
 from daemon.outputs.cursor import Cursor, CursorError
 from daemon.outputs.output import NotTakenError, Output
-from daemon.store.arrivals import open_arrivals
+from daemon.store.queries.arrivals import open_arrivals
 
 _log = structlog.get_logger("dcam.daemon")
 

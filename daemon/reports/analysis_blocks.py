@@ -13,8 +13,8 @@ from daemon.analysis.study import Asked, Study, study
 from daemon.errors import WorkFailedError
 from daemon.reports.document import Block, Bullets, Heading, Text, table
 from daemon.reports.sections import Words
-from daemon.store.columns import Tell
 from daemon.store.database import Store
+from daemon.store.queries.columns import Tell
 
 MOST_DAYS = 62
 """Days in a report's table; of a longer span the months stand in theirs."""

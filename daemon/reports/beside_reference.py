@@ -17,10 +17,10 @@ from core.site import MAIN
 from daemon.errors import WorkFailedError
 from daemon.reports.figure import ReferenceMarks
 from daemon.reports.reference import Reference, read_reference
-from daemon.store.columns import Columns, read_columns
-from daemon.store.exclusion import ExcludedRows, Exclusion
-from daemon.store.ledger import read_ledger
-from daemon.store.targets import columns_of_target, stored_targets, values_of_targets
+from daemon.store.ledger.entries import read_ledger
+from daemon.store.ledger.exclusion import ExcludedRows, Exclusion
+from daemon.store.queries.columns import Columns, read_columns
+from daemon.store.rows.targets import columns_of_target, stored_targets, values_of_targets
 from daemon.times import EPOCH, utc_array
 
 _OF_TARGET = ("flag", "x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm")

@@ -7,9 +7,9 @@ from typing import Any, BinaryIO
 
 from core.results import Flag
 from daemon.reports.slot_table import SlotTable, kind_of_column
-from daemon.store import column_meanings
-from daemon.store.columns import Columns
-from daemon.store.sensors import Sensor
+from daemon.store.queries import column_meanings
+from daemon.store.queries.columns import Columns
+from daemon.store.queries.sensors import Sensor
 from daemon.version import VERSION
 from drivers.libraries import require_library
 

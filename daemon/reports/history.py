@@ -15,13 +15,13 @@ from core.results import Flag
 from core.site import MAIN, TargetRole
 from daemon.reports.figure import GapSpan
 from daemon.reports.series import BINS, CAMERAS, Channel, Envelope, Points, Series
-from daemon.store.columns import Columns, Tell, read_columns, target_roles
 from daemon.store.database import Store
-from daemon.store.ledger import Span, excluded_spans, read_ledger, span_numbers
+from daemon.store.ledger.entries import Span, excluded_spans, read_ledger, span_numbers
+from daemon.store.queries.columns import Columns, Tell, read_columns, target_roles
+from daemon.store.queries.sensors import Sensor, sensor_columns, sensors_within
 from daemon.store.recorded_span import recorded_span
 from daemon.store.records import Coverage, GapRecord
-from daemon.store.sensors import Sensor, sensor_columns, sensors_within
-from daemon.store.targets import columns_of_target, text_without_target, values_of_targets
+from daemon.store.rows.targets import columns_of_target, text_without_target, values_of_targets
 from daemon.times import EPOCH, utc_array
 
 MOST_POINTS = 2 * BINS

@@ -17,7 +17,7 @@ from prometheus_client.registry import Collector
 from core.results import Displacement
 from daemon.status.facts import Daemon, Disk, Facts
 from daemon.status.item import Item, Level, worst
-from daemon.store.overview import ClosureSummary, TargetSummary
+from daemon.store.queries.overview import ClosureSummary, TargetSummary
 from daemon.store.records import Coverage, GapCause, MeasurementRecord
 from daemon.version import VERSION
 

@@ -14,10 +14,10 @@ import numpy.typing as npt
 from core.results import Flag
 from daemon.reports.files import meaning_of
 from daemon.reports.slot_table import SlotTable, kind_of_column
-from daemon.store import column_meanings
-from daemon.store.columns import BATCH
-from daemon.store.sensors import is_reading
-from daemon.store.targets import target_of_column
+from daemon.store.queries import column_meanings
+from daemon.store.queries.columns import BATCH
+from daemon.store.queries.sensors import is_reading
+from daemon.store.rows.targets import target_of_column
 from daemon.times import utc_array
 from daemon.version import VERSION
 from drivers.libraries import require_library

@@ -20,9 +20,9 @@ from daemon.reports.statement import TRIALS, Statement, make_statement
 from daemon.reports.statement_blocks import statement_blocks
 from daemon.status.facts import collect_facts
 from daemon.status.verdict import judge
-from daemon.store.columns import Tell
 from daemon.store.database import Store
-from daemon.store.ledger import read_ledger
+from daemon.store.ledger.entries import read_ledger
+from daemon.store.queries.columns import Tell
 
 _TEMPLATE = Path(__file__).with_name("document.html.j2")
 

@@ -12,7 +12,7 @@ import numpy as np
 from core.results import Flag
 from core.site import MAIN
 from daemon.reports.slot_table import SlotTable
-from daemon.store.ledger import ALL_POINTS
+from daemon.store.ledger.entries import ALL_POINTS
 
 DECIMALS = {"mm": 4, "c": 2}
 """A tenth of a micrometre, a hundredth of a degree, by the unit that a name ends in."""

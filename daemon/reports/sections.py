@@ -18,8 +18,8 @@ from daemon.reports.figure import draw
 from daemon.reports.history import History, Month, gap_spans
 from daemon.status.coverage import coverage_text
 from daemon.status.item import Item, worst
-from daemon.store.datum_fields import offset_text
-from daemon.store.ledger import LedgerEntry, in_force
+from daemon.store.ledger.entries import LedgerEntry, in_force
+from daemon.store.queries.datum_fields import offset_text
 from daemon.store.records import CalibrationRecord, DatumRecord, EventRecord
 from daemon.text import span_text
 from daemon.version import VERSION

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from core.arrays import BoolArray, FloatArray
 from core.results import Flag, Measurement
-from daemon.store.columns import Columns
-from daemon.store.targets import values_of_targets
+from daemon.store.queries.columns import Columns
+from daemon.store.rows.targets import values_of_targets
 from daemon.times import TimeArray, utc_array
 
 BINS = 2400

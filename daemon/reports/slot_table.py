@@ -10,21 +10,21 @@ from heapq import merge
 from typing import Any
 
 from core.results import Flag
-from daemon.store.checksum import DIGEST
-from daemon.store.columns import BATCH, Columns, Tell, read_columns, target_roles
-from daemon.store.convert import RESULT_COLUMNS
 from daemon.store.database import Store
-from daemon.store.ledger import LedgerEntry, excluded_points, read_ledger
+from daemon.store.integrity.checksum import DIGEST
+from daemon.store.ledger.entries import LedgerEntry, excluded_points, read_ledger
+from daemon.store.queries.columns import BATCH, Columns, Tell, read_columns, target_roles
+from daemon.store.queries.sensors import CAUSES, Sensor, is_reading, sensor_columns, sensors_within
 from daemon.store.records import GapRecord
-from daemon.store.runs import next_second, run_between, slot_at, unix_s
-from daemon.store.schema import Kind, MeasurementRow, kind_of
-from daemon.store.sensors import CAUSES, Sensor, is_reading, sensor_columns, sensors_within
-from daemon.store.targets import (
+from daemon.store.rows.convert import RESULT_COLUMNS
+from daemon.store.rows.targets import (
     TARGET_COLUMNS,
     columns_of_target,
     target_of_column,
     values_of_targets,
 )
+from daemon.store.runs import next_second, run_between, slot_at, unix_s
+from daemon.store.schema import Kind, MeasurementRow, kind_of
 from daemon.times import slot_text
 
 EXCLUDED = "excluded"

@@ -26,8 +26,8 @@ from core.results import Displacement, Measurement, Reason, TargetMeasurement
 from core.rig.stability import Term, main_scale, stability_terms, total_covariance
 from core.site import MAIN, Site, TargetRole
 from daemon.store.database import Store
-from daemon.store.datum import in_record_zero
 from daemon.store.records import CalibrationRecord, DatumRecord, MeasurementRecord
+from daemon.store.rows.datum import in_record_zero
 
 TRIALS = 5000
 """Of the Monte Carlo in a report, at most: its standard deviation is then known to 1.0 %."""

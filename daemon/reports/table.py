@@ -12,15 +12,15 @@ import numpy as np
 
 from core.results import Measurement
 from daemon.reports.slot_table import SlotTable, kind_of_column
-from daemon.store.columns import BATCH
-from daemon.store.convert import (
+from daemon.store.queries.columns import BATCH
+from daemon.store.queries.sensors import is_reading
+from daemon.store.rows.convert import (
     BURST_COLUMNS,
     RESULT_COLUMNS,
     STABILITY_COLUMNS,
     result_columns,
 )
-from daemon.store.sensors import is_reading
-from daemon.store.targets import TARGET_RESULT_COLUMNS, columns_of_target, target_values
+from daemon.store.rows.targets import TARGET_RESULT_COLUMNS, columns_of_target, target_values
 from daemon.times import slot_text
 
 DECIMALS = {

@@ -11,7 +11,7 @@ from daemon.reprocessing.frames import SeenSlot
 from daemon.slots.learner import ComputedClosures, Learner
 from daemon.slots.measuring import ActiveCalibration, judge
 from daemon.slots.row_history import RowHistory
-from daemon.store.datum import in_record_zero
+from daemon.store.rows.datum import in_record_zero
 
 
 class InOrder:

@@ -34,9 +34,9 @@ from daemon.slots.measuring import (
 from daemon.slots.row_history import measure_in_record, slip_that_began
 from daemon.slots.supervision import Action, Policy, policy_of
 from daemon.store.database import Store
-from daemon.store.datum import in_record_zero
 from daemon.store.frames.archive import FrameArchive, StoredPair, camera_state
 from daemon.store.records import DatumRecord, GapCause, MeasurementRecord, Reading
+from daemon.store.rows.datum import in_record_zero
 from daemon.times import slot_text
 from drivers.errors import DeviceError, DeviceLostError, DriverError
 from drivers.protocols import Clock, FramePairSource, Role

@@ -16,10 +16,10 @@ from daemon.slots.identity import made_by
 from daemon.slots.learner import Learner
 from daemon.slots.measuring import ActiveCalibration, load_pairs
 from daemon.slots.row_history import measure_in_record
-from daemon.store.convert import measurement_columns
 from daemon.store.database import Store
 from daemon.store.frames.archive import FrameArchive
 from daemon.store.records import MeasurementRecord
+from daemon.store.rows.convert import measurement_columns
 from daemon.store.verification import Finding, Tell
 from daemon.times import EPOCH, slot_text
 

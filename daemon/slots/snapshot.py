@@ -17,8 +17,8 @@ from daemon.slots.learner import Learner
 from daemon.slots.measuring import ActiveCalibration, image_pair, measure
 from daemon.slots.row_history import measure_in_record
 from daemon.store.database import Store
-from daemon.store.datum import in_record_zero
-from daemon.store.json_fields import plain, result_fields
+from daemon.store.queries.json_fields import plain, result_fields
+from daemon.store.rows.datum import in_record_zero
 from drivers.protocols import CapturedFrame, CapturedPair
 
 ROOM_S = 60.0

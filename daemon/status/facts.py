@@ -22,7 +22,8 @@ from daemon.control.run_state import RunState, is_alive, read_run_state, runtime
 from daemon.lock import LOCK_NAME
 from daemon.retention.event_kinds import KEPT_AGAIN, NOT_KEPT
 from daemon.retention.outlook import Archive, days_until_short
-from daemon.store.overview import (
+from daemon.store.damage_note import databases_set_aside, read_note
+from daemon.store.queries.overview import (
     ActiveCalibrationSummary,
     ClosureSummary,
     Overview,
@@ -40,7 +41,6 @@ from daemon.store.records import (
     MeasurementRecord,
 )
 from daemon.store.runs import schedule_slots
-from daemon.store.salvage.damage_note import databases_set_aside, read_note
 
 DAY = timedelta(days=1)
 MONTH = timedelta(days=30)

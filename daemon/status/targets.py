@@ -7,7 +7,7 @@ from datetime import datetime
 from core.results import Displacement, Reason
 from daemon.status.facts import Facts
 from daemon.status.item import Item, Level
-from daemon.store.overview import TargetSummary
+from daemon.store.queries.overview import TargetSummary
 from daemon.text import displacement_text, span_text
 
 LARGE_CLOSURE = 3.0

@@ -10,8 +10,8 @@ from daemon.status.coverage import coverage_text
 from daemon.status.facts import CAMERA_CAUSES, DAY, Daemon, Disk, Facts
 from daemon.status.item import Item, Level
 from daemon.status.targets import judge_targets
-from daemon.store.datum_fields import offset_text
-from daemon.store.overview import ActiveCalibrationSummary
+from daemon.store.queries.datum_fields import offset_text
+from daemon.store.queries.overview import ActiveCalibrationSummary
 from daemon.store.records import Coverage, DatumMethod
 from daemon.text import bytes_text, span_text, utc_text, value_text
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from daemon.durable import fsync_file, replacing
 from daemon.errors import TO_SALVAGE, DatabaseDamagedError, DatabaseUnwritableError, StoreError
-from daemon.store.salvage.damage_note import SET_ASIDE
+from daemon.store.damage_note import SET_ASIDE
 from daemon.store.sqlite import connect_readonly, is_damage, translate
 from daemon.times import stamp_text
 

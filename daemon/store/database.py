@@ -18,19 +18,16 @@ from sqlalchemy import Engine
 
 from core.arrays import FloatArray
 from daemon.durable import fsync_directory
-from daemon.store import calibrations, datum, events, frame_days, ledger_rows, measurements, undated
-from daemon.store import gaps as gap_runs
 from daemon.store.accounting import missing_slots
-from daemon.store.columns import read_columns
-from daemon.store.convert import measurement_record
 from daemon.store.copying import Copied, Tell, backup, rescue
 from daemon.store.engine import make_engine, translated
-from daemon.store.hourly_closures import hourly_closures
-from daemon.store.ledger import LedgerEntry
+from daemon.store.ledger import rows as ledger_rows
+from daemon.store.ledger.entries import LedgerEntry
 from daemon.store.migrate import migrate as run_migrations
 from daemon.store.migrate import require_head
-from daemon.store.overview import Overview
 from daemon.store.preparing import path_for_writing
+from daemon.store.queries.columns import read_columns
+from daemon.store.queries.overview import Overview
 from daemon.store.records import (
     CalibrationRecord,
     Coverage,
@@ -43,6 +40,10 @@ from daemon.store.records import (
     MeasurementRecord,
     PastRows,
 )
+from daemon.store.rows import calibrations, datum, events, frame_days, measurements, undated
+from daemon.store.rows import gaps as gap_runs
+from daemon.store.rows.convert import measurement_record
+from daemon.store.rows.hourly_closures import hourly_closures
 from daemon.store.runs import run_between, schedule_slots
 from daemon.store.sqlite import existing_path
 from daemon.store.transactions import Transactions
@@ -156,7 +157,7 @@ class Store(Transactions):
             return measurements.last_with_targets(connection, slot_utc, calibration_id, limit)
 
     def hourly_closures(self, calibration_id: int, since: datetime, until: datetime) -> FloatArray:
-        """Closures of a calibration's rows by the hour, see `daemon.store.hourly_closures`."""
+        """Closures of a calibration's rows by the hour, see `daemon.store.rows.hourly_closures`."""
         return hourly_closures(self.path, calibration_id, since, until)
 
     def measured_slots(self, since: datetime = ALWAYS, until: datetime = NEVER) -> set[datetime]:

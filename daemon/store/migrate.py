@@ -16,9 +16,9 @@ from sqlalchemy import Connection, Engine, inspect, text
 from daemon.durable import fsync_directory
 from daemon.errors import TO_SALVAGE, DatabaseDamagedError, DatabaseForeignError, StoreError
 from daemon.store import revisions
-from daemon.store.checksum import row_digest
 from daemon.store.copying import backup
 from daemon.store.engine import translated
+from daemon.store.integrity.checksum import row_digest
 from daemon.store.records import Mark
 from daemon.store.schema import Base
 from daemon.times import stamp_text

@@ -10,6 +10,7 @@ from pathlib import Path
 import structlog
 
 from daemon.errors import DatabaseRemovedError, DatabaseUnwritableError, StoreError
+from daemon.store.damage_note import Note, clear_note, note_damage, read_note
 from daemon.store.database import Store, open_store
 from daemon.store.salvage.damage import (
     Depth,
@@ -17,7 +18,6 @@ from daemon.store.salvage.damage import (
     find_damage,
     traces_of_a_lost_database,
 )
-from daemon.store.salvage.damage_note import Note, clear_note, note_damage, read_note
 from daemon.store.salvage.salvage import Tell, salvage
 from daemon.store.sqlite import FILE_NAME, undo_half_made
 

@@ -109,7 +109,7 @@ class Base(DeclarativeBase):
     }
 
     digest: Mapped[int | None] = mapped_column(sort_order=1000)
-    """Checksum of the row, see `daemon.store.digest`."""
+    """Checksum of the row, see `daemon.store.integrity.digest`."""
 
 
 class MeasurementRow(Base):
@@ -211,7 +211,7 @@ class MeasurementRow(Base):
     closure_sigma_y_mm: Mapped[float | None]
     closure_cov_xy_mm2: Mapped[float | None]
     targets: Mapped[str | None]
-    """JSON of the further targets, see `daemon.store.targets`; NULL without any."""
+    """JSON of the further targets, see `daemon.store.rows.targets`; NULL without any."""
     readings: Mapped[str | None]
     """JSON: name to [value, unit], or to [null, unit, cause]; NULL where there are no sensors."""
 

@@ -18,7 +18,7 @@ from daemon.errors import (
     DiskFullError,
     StoreError,
 )
-from daemon.store.salvage.damage_note import read_note
+from daemon.store.damage_note import read_note
 
 FILE_NAME = "dcam.db"
 

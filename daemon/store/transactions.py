@@ -13,8 +13,8 @@ from sqlalchemy import Engine
 from sqlalchemy.orm import Session
 
 from daemon.errors import DatabaseDamagedError
-from daemon.store.digest import CheckedSession
 from daemon.store.engine import translated
+from daemon.store.integrity.digest import CheckedSession
 
 
 class Transactions:

@@ -18,7 +18,7 @@ from core.calibration.calibrate import Calibration
 from core.errors import CoreError
 from daemon.errors import DamagedRowError
 from daemon.store.accounting import ScheduleEpoch, audit_slots, scheduled
-from daemon.store.overview import Overview
+from daemon.store.queries.overview import Overview
 from daemon.store.runs import slot_at
 from daemon.store.salvage.damage import program_tables, wrong_rows
 from daemon.store.salvage.salvage import LOST

@@ -8,8 +8,8 @@ from datetime import datetime
 from typing import Any
 
 from daemon.preview.shown import Shown
-from daemon.store.json_fields import plain
-from daemon.store.record_view import last_slot_with_frames
+from daemon.store.queries.json_fields import plain
+from daemon.store.queries.record_view import last_slot_with_frames
 from daemon.times import slot_text
 from daemon.web.record import Record
 from daemon.web.worker import Worker

@@ -22,7 +22,7 @@ from daemon.reports import beside_reference
 from daemon.reports.beside_reference import PointComparison, read_beside
 from daemon.reports.figure import ReferenceMarks
 from daemon.store.database import open_store_readonly
-from daemon.store.json_fields import plain
+from daemon.store.queries.json_fields import plain
 from daemon.web.lines import answer_lines
 from daemon.zones import find_zone
 

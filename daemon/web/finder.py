@@ -22,7 +22,7 @@ from core.site import CirclesTarget, Site
 from daemon.calibration.view_check import ViewCheck, see_pair
 from daemon.config.reading import load_config
 from daemon.preview.snapshot import take_snapshot
-from daemon.store.json_fields import plain
+from daemon.store.queries.json_fields import plain
 from daemon.web.lines import answer_lines
 from drivers.frameset import read_image
 from drivers.protocols import CapturedFrame, CapturedPair

@@ -21,18 +21,18 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from daemon.errors import StoreError
-from daemon.store.chart_rows import (
+from daemon.store.integrity.reading import fetch, value
+from daemon.store.queries.chart_rows import (
     chart_rows,
     day_digest,
     days_with_rows,
     moved_rows,
     span_of_calibration,
 )
-from daemon.store.datum import Datums, read_datums
-from daemon.store.overview import Overview
-from daemon.store.reading import fetch, value
+from daemon.store.queries.overview import Overview
 from daemon.store.records import Mark
 from daemon.store.revisions import require_head
+from daemon.store.rows.datum import Datums, read_datums
 from daemon.store.sqlite import connect_readonly, existing_path, said_plainly
 from daemon.web.pyramid import DAY_S, EPOCH_S, Pyramid, digest_of, lowest_width_s
 

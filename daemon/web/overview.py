@@ -16,8 +16,8 @@ from daemon.errors import StoreError
 from daemon.status.facts import Facts, collect_facts
 from daemon.status.item import Item, Level, worst
 from daemon.status.verdict import no_verdict
-from daemon.store.json_fields import result_fields
-from daemon.store.record_view import readings_named
+from daemon.store.queries.json_fields import result_fields
+from daemon.store.queries.record_view import readings_named
 from daemon.store.records import Coverage, MeasurementRecord
 from daemon.version import VERSION
 from daemon.web.follower import Follower

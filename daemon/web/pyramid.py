@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.arrays import FloatArray
-from daemon.store.chart_rows import ChartRows, Masks, Times
+from daemon.store.queries.chart_rows import ChartRows, Masks, Times
 
 EPOCH_S = 946_684_800
 """2000-01-01: nothing before it is kept."""

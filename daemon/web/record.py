@@ -9,8 +9,8 @@ from datetime import datetime
 from pathlib import Path
 
 from daemon.errors import StoreError
-from daemon.store.overview import Overview
-from daemon.store.record_view import frame_name
+from daemon.store.queries.overview import Overview
+from daemon.store.queries.record_view import frame_name
 from daemon.store.revisions import require_head
 from daemon.store.sqlite import connect_readonly, existing_path, said_plainly
 

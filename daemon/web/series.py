@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from daemon.store.chart_rows import ChartRows, Masks, chart_rows, row_count, said_by
-from daemon.store.datum import read_datums
-from daemon.store.ledger import LedgerEntry, in_force, ledger_entries
-from daemon.store.reading import value
-from daemon.store.record_view import events_within, flagged_rows, gaps_within
+from daemon.store.integrity.reading import value
+from daemon.store.ledger.entries import LedgerEntry, in_force, ledger_entries
+from daemon.store.queries.chart_rows import ChartRows, Masks, chart_rows, row_count, said_by
+from daemon.store.queries.record_view import events_within, flagged_rows, gaps_within
+from daemon.store.rows.datum import read_datums
 from daemon.store.runs import next_second
 from daemon.times import slot_text
 from daemon.web.asking import AskedWronglyError, seconds

@@ -10,17 +10,17 @@ import numpy as np
 
 from core.results import Flag
 from daemon.config.reading import Config
-from daemon.store.datum import read_links
-from daemon.store.datum_fields import sigmas_mm
-from daemon.store.json_fields import plain, result_fields
-from daemon.store.ledger import in_force, ledger_entries
-from daemon.store.record_view import (
+from daemon.store.ledger.entries import in_force, ledger_entries
+from daemon.store.queries.datum_fields import sigmas_mm
+from daemon.store.queries.json_fields import plain, result_fields
+from daemon.store.queries.record_view import (
     calibration_views,
     events_within,
     gaps_within,
     neighbours,
     slot_view,
 )
+from daemon.store.rows.datum import read_links
 from daemon.store.runs import next_second
 from daemon.times import slot_text
 from daemon.web.asking import seconds

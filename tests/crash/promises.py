@@ -14,7 +14,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from daemon.store.salvage.damage_note import SET_ASIDE
+from daemon.store.damage_note import SET_ASIDE
 from daemon.store.sqlite import FILE_NAME
 from tests.crash.station import PERIOD_S, daemon, heard
 

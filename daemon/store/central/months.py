@@ -11,7 +11,7 @@ from sqlalchemy import Interval, Table, cast, func, select
 
 from daemon.store.central.connecting import Central
 from daemon.store.central.tables import DIGEST_PART, MEASUREMENT, SITE, to_sqlite
-from daemon.store.columns import BATCH, Columns
+from daemon.store.queries.columns import BATCH, Columns
 
 
 @dataclass(frozen=True, slots=True)

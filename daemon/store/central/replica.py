@@ -19,8 +19,8 @@ from sqlalchemy import Connection, Table, select
 from daemon.durable import write_durable
 from daemon.store.central.connecting import Central
 from daemon.store.central.tables import CHANGING, EVENT, MEASUREMENT, MIRRORED, to_sqlite
-from daemon.store.columns import Tell
 from daemon.store.database import open_store
+from daemon.store.queries.columns import Tell
 from daemon.store.sqlite import FILE_NAME, connect
 
 _BATCH = 5000

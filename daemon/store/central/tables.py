@@ -24,7 +24,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects.postgresql import JSONB
 
-from daemon.store.checksum import DIGEST
+from daemon.store.integrity.checksum import DIGEST
 from daemon.store.schema import (
     ActivationRow,
     Base,

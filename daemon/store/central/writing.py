@@ -17,7 +17,6 @@ from sqlalchemy import Connection, Table, delete, func, select, text, tuple_, up
 from sqlalchemy.dialects.postgresql import insert
 
 from daemon.errors import StoreError
-from daemon.store.arrivals import Arrival, open_arrivals
 from daemon.store.central.connecting import Central
 from daemon.store.central.tables import (
     CHANGING,
@@ -29,8 +28,9 @@ from daemon.store.central.tables import (
     from_sqlite,
     key_of,
 )
-from daemon.store.progress import Progress
-from daemon.store.reading import fetch, proved_rows, value
+from daemon.store.integrity.reading import fetch, proved_rows, value
+from daemon.store.queries.arrivals import Arrival, open_arrivals
+from daemon.store.queries.progress import Progress
 from daemon.store.records import Mark
 from daemon.store.revisions import REVISIONS
 from daemon.version import VERSION

@@ -17,8 +17,8 @@ from pathlib import Path
 import structlog
 
 from daemon.errors import DatabaseDamagedError, DatabaseForeignError, StoreError
-from daemon.store.checksum import DIGEST, named, row_digest
 from daemon.store.frames.archive import FOLDER
+from daemon.store.integrity.checksum import DIGEST, named, row_digest
 from daemon.store.migrate import SCHEMA_QUERY, known_revisions, schema_digests
 from daemon.store.records import Mark
 from daemon.store.revisions import require_known

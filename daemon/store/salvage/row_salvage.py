@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice
 
-from daemon.store.checksum import DIGEST, row_digest
+from daemon.store.integrity.checksum import DIGEST, row_digest
 from daemon.store.salvage.sqlite_pages import PageFile, RawRow, Value
 
 Values = dict[str, Value]

@@ -19,14 +19,7 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from daemon.durable import fsync_directory, fsync_file, temporary_name
-from daemon.store.digest import CheckedSession
-from daemon.store.engine import make_engine, translated
-from daemon.store.gaps import record_missed
-from daemon.store.migrate import known_revisions, upgrade
-from daemon.store.records import GapCause, Mark
-from daemon.store.runs import run_between
-from daemon.store.salvage.damage import has_foreign_log
-from daemon.store.salvage.damage_note import (
+from daemon.store.damage_note import (
     COMPANIONS,
     SET_ASIDE,
     Note,
@@ -34,6 +27,13 @@ from daemon.store.salvage.damage_note import (
     read_note,
     write_note,
 )
+from daemon.store.engine import make_engine, translated
+from daemon.store.integrity.digest import CheckedSession
+from daemon.store.migrate import known_revisions, upgrade
+from daemon.store.records import GapCause, Mark
+from daemon.store.rows.gaps import record_missed
+from daemon.store.runs import run_between
+from daemon.store.salvage.damage import has_foreign_log
 from daemon.store.salvage.row_salvage import Carried, carry_over
 from daemon.store.salvage.sqlite_pages import PageFile
 from daemon.store.schema import (

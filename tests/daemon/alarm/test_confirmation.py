@@ -12,7 +12,7 @@ from daemon.alarm import confirmation
 from daemon.control.camera_lease import CameraLease
 from daemon.control.control_socket import CommandHandlers, control_socket
 from daemon.errors import HardwareError
-from daemon.store.json_fields import result_fields
+from daemon.store.queries.json_fields import result_fields
 from tests.daemon.alarm.conftest import LOW, Program, configure, history, look, row
 from tests.daemon.commands.conftest import MINUTE, START, Site
 

@@ -10,7 +10,7 @@ import pytest
 
 from core.results import Displacement, Flag, Reason, TargetMeasurement
 from core.site import TargetRole
-from daemon.store.ledger import LedgerEntry, LedgerKind
+from daemon.store.ledger.entries import LedgerEntry, LedgerKind
 from daemon.store.records import CameraState, Reading
 from tests.daemon.alarm.conftest import (
     LOW,

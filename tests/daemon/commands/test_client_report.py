@@ -23,7 +23,7 @@ from daemon.reports.monthly import last_month
 from daemon.reports.statement import Statement, make_statement
 from daemon.status.item import Level
 from daemon.store.database import open_store, open_store_readonly
-from daemon.store.ledger import LedgerEntry, LedgerKind
+from daemon.store.ledger.entries import LedgerEntry, LedgerKind
 from daemon.store.records import GapCause
 from daemon.zones import find_zone
 from tests.daemon.commands.conftest import DARK, FURTHER, RUNNING, SIMULATED, START, Ctl, Site

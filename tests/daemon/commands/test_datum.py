@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from core.results import Displacement, Flag, Measurement
-from daemon.store.circumstances import KEY, Circumstances, circumstances_of
 from daemon.store.database import open_store
 from daemon.store.records import DatumMethod, DatumStep, Reading
+from daemon.store.rows.circumstances import KEY, Circumstances, circumstances_of
 from tests.daemon.commands.conftest import Ctl, Ran, Site, edit_table
 from tests.daemon.store.examples import calibration, datum, record
 

@@ -18,7 +18,7 @@ from daemon.commands import demo, demo_season
 from daemon.config.reading import load_config
 from daemon.reports.figure import GapSpan, draw
 from daemon.reports.series import series_of
-from daemon.store.checksum import row_digest
+from daemon.store.integrity.checksum import row_digest
 from tests.daemon.commands.conftest import Ctl
 
 PNG = b"\x89PNG\r\n\x1a\n"

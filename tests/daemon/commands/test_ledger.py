@@ -15,7 +15,7 @@ import pytest
 from core.results import Displacement, Flag, TargetMeasurement
 from core.site import TargetRole
 from daemon.store.database import open_store
-from daemon.store.ledger import LedgerEntry, LedgerKind
+from daemon.store.ledger.entries import LedgerEntry, LedgerKind
 from daemon.store.records import MeasurementRecord
 from daemon.times import slot_text
 from tests.daemon.commands.conftest import GOOD, Ctl, Ran

@@ -18,9 +18,9 @@ from sqlalchemy import text
 
 from daemon.fleet.month_file import MOTION_PAIRS, RELATIVE_BITS, STEPS_BITS
 from daemon.store.central.connecting import connect_central
-from daemon.store.columns import read_columns
 from daemon.store.database import ALWAYS, NEVER, open_store
-from daemon.store.ledger import LedgerEntry, LedgerKind
+from daemon.store.ledger.entries import LedgerEntry, LedgerKind
+from daemon.store.queries.columns import read_columns
 from daemon.store.records import GapCause
 from tests.daemon.fleet.conftest import row_at, sync
 from tests.daemon.fleet.postgres import Server

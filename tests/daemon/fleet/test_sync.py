@@ -28,7 +28,7 @@ from daemon.store.central.tables import (
     to_sqlite,
 )
 from daemon.store.database import open_store
-from daemon.store.ledger import LedgerEntry, LedgerKind
+from daemon.store.ledger.entries import LedgerEntry, LedgerKind
 from daemon.store.records import GapCause
 from tests.daemon.fleet.conftest import Pier, add_rows, row_at, sync
 from tests.daemon.fleet.postgres import Proxy, Server, cut_at_random

@@ -12,8 +12,8 @@ import pytest
 from daemon.outputs.cursor import CursorError
 from daemon.outputs.output import NotTakenError
 from daemon.outputs.sender import Sender, cursor_path
-from daemon.store.arrivals import Arrival
 from daemon.store.database import open_store
+from daemon.store.queries.arrivals import Arrival
 from daemon.store.sqlite import FILE_NAME
 from tests.daemon.outputs.conftest import Follow, Record, text_of
 from tests.daemon.store.examples import full_measurement, record, slot

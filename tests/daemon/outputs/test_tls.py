@@ -14,7 +14,7 @@ from daemon.outputs.influx import InfluxOutput
 from daemon.outputs.mqtt import MqttOutput
 from daemon.outputs.output import NotTakenError, Output
 from daemon.outputs.sender import Sender
-from daemon.store.arrivals import Arrival
+from daemon.store.queries.arrivals import Arrival
 from tests.daemon.outputs.conftest import Follow, Record
 from tests.daemon.outputs.servers import Broker, Identity, Points, points_server
 from tests.daemon.outputs.test_mqtt import Subscriber

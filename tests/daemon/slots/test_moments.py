@@ -7,7 +7,7 @@ from pathlib import Path
 from core.moment import Moment
 from daemon.slots.measuring import image_pair, row_moment
 from daemon.store.database import open_store
-from daemon.store.overview import open_overview
+from daemon.store.queries.overview import open_overview
 from drivers.frameset import FrameSetRow
 from tests.daemon.store.examples import READINGS, calibration, full_record, pair, slot
 

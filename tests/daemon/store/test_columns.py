@@ -7,8 +7,8 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.store.checksum import row_digest
-from daemon.store.checksum_columns import damaged_rows, row_digests
+from daemon.store.integrity.checksum import row_digest
+from daemon.store.integrity.checksum_columns import damaged_rows, row_digests
 
 INTEGERS = st.integers(-(2**63), 2**63 - 1)
 TEXTS = st.text(st.characters(exclude_categories=()), max_size=5)

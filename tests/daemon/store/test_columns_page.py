@@ -7,9 +7,9 @@ from pathlib import Path
 
 from daemon.reports.slot_table import COLUMNS, kind_of_column
 from daemon.reports.table import DECIMALS
-from daemon.store import column_meanings
+from daemon.store.queries import column_meanings
+from daemon.store.rows.targets import TARGET_COLUMNS
 from daemon.store.schema import MeasurementRow
-from daemon.store.targets import TARGET_COLUMNS
 
 PAGE = (Path(__file__).parents[3] / "docs" / "columns.md").read_text(encoding="utf-8")
 KINDS = {
@@ -26,7 +26,7 @@ ENDINGS = {"db": "dB", "c": "degC"}
 def test_the_page_lists_every_column_of_an_export_in_its_order() -> None:
     lines = re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) \| (.*?) \|$", PAGE, flags=re.MULTILINE)
     assert lines == [(name, *_unit_kind_text(name)) for name in COLUMNS], (
-        "docs/columns.md and daemon/store/column_meanings.py differ"
+        "docs/columns.md and daemon/store/queries/column_meanings.py differ"
     )
 
 

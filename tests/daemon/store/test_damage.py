@@ -13,14 +13,14 @@ import pytest
 from alembic import command
 
 from daemon.errors import DatabaseDamagedError, DatabaseNewerError, DatabaseUnwritableError
+from daemon.store.damage_note import databases_set_aside, note_damage, read_note
 from daemon.store.database import open_store, open_store_readonly
 from daemon.store.engine import make_engine
-from daemon.store.ledger import LedgerEntry, LedgerKind
+from daemon.store.ledger.entries import LedgerEntry, LedgerKind
 from daemon.store.migrate import alembic_config
 from daemon.store.opening import damage_noted, open_checked_store
 from daemon.store.records import GapCause, Mark
 from daemon.store.salvage import damage, salvage
-from daemon.store.salvage.damage_note import databases_set_aside, note_damage, read_note
 from daemon.store.sqlite import connect_readonly
 from tests.daemon.store.examples import (
     PERIOD_S,

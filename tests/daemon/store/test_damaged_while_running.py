@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from daemon.errors import DatabaseDamagedError
+from daemon.store.damage_note import databases_set_aside
 from daemon.store.database import open_store
 from daemon.store.records import GapCause
-from daemon.store.salvage.damage_note import databases_set_aside
 from tests.daemon.slots.test_dcamd import MARCH, REAL_TIME, ROOT, Site, state_after, unaccounted
 from tests.daemon.store.examples import calibration
 from tests.waiting import PATIENCE_S

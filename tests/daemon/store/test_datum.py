@@ -14,9 +14,9 @@ import pytest
 from sqlalchemy import Engine, event
 
 from core.results import Displacement
-from daemon.store.columns import read_columns
 from daemon.store.database import ALWAYS, NEVER, open_store
-from daemon.store.overview import open_overview
+from daemon.store.queries.columns import read_columns
+from daemon.store.queries.overview import open_overview
 from daemon.store.records import DatumMethod, DatumRecord, DatumStep
 from tests.daemon.store.examples import START, calibration, datum, full_record, slot
 from tests.daemon.store.writer import counted, die_at

@@ -14,10 +14,10 @@ from sqlalchemy import update
 from core.results import Measurement
 from daemon.errors import DatabaseDamagedError
 from daemon.store import migrate
-from daemon.store.checksum import row_digest
 from daemon.store.database import Store, open_store, open_store_readonly
-from daemon.store.digest import CheckedSession
 from daemon.store.engine import make_engine
+from daemon.store.integrity.checksum import row_digest
+from daemon.store.integrity.digest import CheckedSession
 from daemon.store.records import GapCause, Mark
 from daemon.store.schema import Base, MeasurementRow
 from tests.daemon.store.examples import (

@@ -22,8 +22,8 @@ from daemon.reports.netcdf import write_netcdf
 from daemon.reports.slot_table import COLUMNS, SlotTable, kind_of_column, slot_table
 from daemon.reports.table import write_slots
 from daemon.store.database import ALWAYS, NEVER, open_store
+from daemon.store.queries.sensors import sensors_within
 from daemon.store.records import GapCause, Reading
-from daemon.store.sensors import sensors_within
 from tests.daemon.store.examples import START, calibration, full_record, record, slot
 
 

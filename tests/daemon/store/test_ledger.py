@@ -12,7 +12,7 @@ import pytest
 
 from daemon.errors import UsageError
 from daemon.store.database import Store, open_store
-from daemon.store.ledger import (
+from daemon.store.ledger.entries import (
     LedgerEntry,
     LedgerKind,
     excluded_spans,

@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 
 from daemon.errors import DatabaseDamagedError
+from daemon.store.damage_note import databases_set_aside
 from daemon.store.database import open_store
 from daemon.store.opening import open_checked_store
 from daemon.store.records import GapCause, Mark
 from daemon.store.salvage.damage import Depth, find_damage
-from daemon.store.salvage.damage_note import databases_set_aside
 from tests.daemon.store.examples import PERIOD_S, START, record, slot
 
 ROWS = 2

@@ -28,12 +28,12 @@ from daemon.errors import (
     StoreError,
 )
 from daemon.store import migrate
-from daemon.store.checksum import row_digest
+from daemon.store.damage_note import databases_set_aside
 from daemon.store.database import open_store, open_store_readonly
 from daemon.store.engine import make_engine
+from daemon.store.integrity.checksum import row_digest
 from daemon.store.opening import open_checked_store
 from daemon.store.revisions import REVISIONS, SCRIPTS
-from daemon.store.salvage.damage_note import databases_set_aside
 from daemon.store.schema import Base
 from daemon.times import slot_text
 from tests.daemon.store.examples import full_record, record, slot

@@ -14,9 +14,10 @@ import pytest
 
 from core.results import Flag
 from daemon.errors import DatabaseBusyError, SlotTakenError, StoreError
-from daemon.store import columns, sqlite
+from daemon.store import sqlite
 from daemon.store.database import Store, open_store, open_store_readonly
 from daemon.store.engine import make_engine
+from daemon.store.queries import columns
 from tests.daemon.store.examples import (
     BAD,
     FIXED,

@@ -14,7 +14,7 @@ from benchmarks.page_record import PageRecord, write_record
 from benchmarks.page_server import ROOT, serving
 from daemon.config.reading import load_config
 from daemon.store.database import open_store
-from daemon.store.ledger import LedgerEntry, LedgerKind
+from daemon.store.ledger.entries import LedgerEntry, LedgerKind
 from tests.daemon.web.browsing import CHROMIUM, start_chromium
 
 SLOTS = 20_000

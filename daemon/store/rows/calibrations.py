@@ -5,9 +5,9 @@ from __future__ import annotations
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from daemon.store.convert import calibration_record, calibration_row
-from daemon.store.datum import datum_columns
 from daemon.store.records import CalibrationRecord, DatumRecord
+from daemon.store.rows.convert import calibration_record, calibration_row
+from daemon.store.rows.datum import datum_columns
 from daemon.store.schema import ActivationRow, CalibrationRow, DatumRow
 
 

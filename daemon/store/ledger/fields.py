@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 
 from core.site import MAIN
-from daemon.store.ledger import LedgerEntry, excluded_spans
+from daemon.store.ledger.entries import LedgerEntry, excluded_spans
 
 
 def entry_fields(entry: LedgerEntry, gone: Mapping[int, LedgerEntry]) -> dict[str, object]:

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from core.results import Measurement, TargetMeasurement
-from daemon.store.convert import (
+from daemon.store.rows.convert import (
     BURST_COLUMNS,
     RESULT_COLUMNS,
     STABILITY_COLUMNS,
     result_columns,
 )
-from daemon.store.targets import TARGET_COLUMNS, target_values
+from daemon.store.rows.targets import TARGET_COLUMNS, target_values
 from daemon.text import utc_text
 
 

@@ -12,10 +12,10 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from daemon.errors import DamagedRowError, SlotTakenError, StoreError
-from daemon.store import gaps
-from daemon.store.convert import measurement_columns, measurement_record, stored_time
-from daemon.store.reading import fetch, value, whole_rows
+from daemon.store.integrity.reading import fetch, value, whole_rows
 from daemon.store.records import MeasurementRecord, PastRows
+from daemon.store.rows import gaps
+from daemon.store.rows.convert import measurement_columns, measurement_record, stored_time
 from daemon.store.runs import next_second
 from daemon.store.schema import MeasurementRow
 from daemon.times import slot_text

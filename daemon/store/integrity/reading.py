@@ -6,8 +6,8 @@ import sqlite3
 from contextlib import closing
 from typing import Any
 
-from daemon.store.checksum import DIGEST, not_as_written, require_intact
-from daemon.store.checksum_columns import damaged_rows
+from daemon.store.integrity.checksum import DIGEST, not_as_written, require_intact
+from daemon.store.integrity.checksum_columns import damaged_rows
 
 
 def whole_rows(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from daemon.store.sensors import CAUSES
-from daemon.store.targets import target_of_column
+from daemon.store.queries.sensors import CAUSES
+from daemon.store.rows.targets import target_of_column
 
 
 class Meaning(NamedTuple):

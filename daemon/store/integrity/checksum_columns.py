@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from daemon.store.checksum import DIGEST, encoded, row_digest
+from daemon.store.integrity.checksum import DIGEST, encoded, row_digest
 
 Columns = Mapping[str, Sequence[Any]]
 """Values of at least one row as SQLite holds them, by column; all columns are equally long."""

@@ -11,7 +11,7 @@ from sqlalchemy.dialects.sqlite import dialect as sqlite_dialect
 from sqlalchemy.event import listens_for
 from sqlalchemy.orm import ORMExecuteState, Session, UOWTransaction, class_mapper, object_mapper
 
-from daemon.store.checksum import DIGEST, require_intact, row_digest
+from daemon.store.integrity.checksum import DIGEST, require_intact, row_digest
 from daemon.store.schema import Base
 
 _DIALECT = sqlite_dialect()

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from core.results import Displacement, Measurement, TargetMeasurement
-from daemon.store.convert import stored_time
-from daemon.store.reading import whole_rows
+from daemon.store.integrity.reading import whole_rows
 from daemon.store.records import DatumMethod, DatumRecord, DatumStep
-from daemon.store.targets import targets_of, targets_text
+from daemon.store.rows.convert import stored_time
+from daemon.store.rows.targets import targets_of, targets_text
 
 Datums = Mapping[int, DatumRecord]
 """The link that holds of each calibration that has one, by the calibration's number."""

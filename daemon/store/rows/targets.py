@@ -13,7 +13,7 @@ from typing import Any
 
 from core.results import Flag, Reason, TargetMeasurement
 from core.site import TargetRole
-from daemon.store.displacements import corrected_columns, displacement_columns, displacement_of
+from daemon.store.rows.displacements import corrected_columns, displacement_columns, displacement_of
 
 TARGET_RESULT_COLUMNS = ("flag", "x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm")
 """What `reprocess` writes of each."""

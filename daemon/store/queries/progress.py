@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from daemon.store.arrivals import Arrival, Arrivals
+from daemon.store.queries.arrivals import Arrival, Arrivals
 
 SCHEMA = 1
 DENSE = 32

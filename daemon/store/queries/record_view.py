@@ -13,10 +13,10 @@ from datetime import datetime
 from typing import Any
 
 from core.results import Measurement
-from daemon.store.convert import measurement_record, stored_time
-from daemon.store.datum import datum_of, in_record_zero
-from daemon.store.reading import fetch, value, whole_rows
+from daemon.store.integrity.reading import fetch, value, whole_rows
 from daemon.store.records import GapCause, GapRecord
+from daemon.store.rows.convert import measurement_record, stored_time
+from daemon.store.rows.datum import datum_of, in_record_zero
 from daemon.times import instant_text, slot_text
 
 MOST_ROWS = 5000

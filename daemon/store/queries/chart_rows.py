@@ -19,9 +19,9 @@ import numpy.typing as npt
 from core.arrays import FloatArray
 from core.results import Reason
 from core.site import MAIN
-from daemon.store.datum import Datums
-from daemon.store.reading import fetch, value
+from daemon.store.integrity.reading import fetch, value
 from daemon.store.records import DatumMethod
+from daemon.store.rows.datum import Datums
 
 POINT_KEYS = ("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm", "raw_x_mm", "raw_y_mm")
 """Of the main target and of each further one."""

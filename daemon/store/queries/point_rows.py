@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from core.results import Flag, Reason
-from daemon.store.datum import Datums, read_datums
-from daemon.store.ledger import excluded_spans, ledger_entries, span_numbers
-from daemon.store.reading import fetch
+from daemon.store.integrity.reading import fetch
+from daemon.store.ledger.entries import excluded_spans, ledger_entries, span_numbers
 from daemon.store.records import BELIEVED, DatumMethod
+from daemon.store.rows.datum import Datums, read_datums
 from daemon.store.runs import next_second
 from daemon.store.sqlite import connect_readonly, existing_path, said_plainly
 from daemon.times import slot_text

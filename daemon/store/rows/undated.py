@@ -10,8 +10,8 @@ from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
 from daemon.errors import StoreError
-from daemon.store.convert import measurement_columns, measurement_record
 from daemon.store.records import MeasurementRecord
+from daemon.store.rows.convert import measurement_columns, measurement_record
 from daemon.store.schema import MeasurementRow, UndatedRow
 from daemon.times import instant_text
 

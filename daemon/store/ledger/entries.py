@@ -18,8 +18,8 @@ import numpy as np
 
 from core.arrays import IntArray
 from core.site import MAIN
-from daemon.store.convert import stored_time
-from daemon.store.reading import whole_rows
+from daemon.store.integrity.reading import whole_rows
+from daemon.store.rows.convert import stored_time
 from daemon.store.sqlite import connect_readonly, said_plainly
 from daemon.times import TimeArray, utc_array
 

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from core.arrays import FloatArray
-from daemon.store.checksum import not_as_written
-from daemon.store.checksum_columns import damaged_rows
-from daemon.store.datum import Datums, columns_in_record_zero, read_datums
+from daemon.store.integrity.checksum import not_as_written
+from daemon.store.integrity.checksum_columns import damaged_rows
+from daemon.store.rows.datum import Datums, columns_in_record_zero, read_datums
 from daemon.store.runs import next_second
 from daemon.store.sqlite import any_text, connect_readonly, is_damage, said_plainly
 from daemon.times import slot_text

@@ -8,7 +8,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from daemon.errors import UsageError
-from daemon.store.ledger import LedgerEntry, LedgerKind, entry_of, undone
+from daemon.store.ledger.entries import LedgerEntry, LedgerKind, entry_of, undone
 from daemon.store.schema import LedgerRow
 
 

@@ -19,14 +19,14 @@ from core.results import (
     RigMotion,
 )
 from daemon.errors import DamagedRowError
-from daemon.store.displacements import (
+from daemon.store.records import CalibrationRecord, CameraState, MeasurementRecord, Reading
+from daemon.store.rows.displacements import (
     corrected_columns,
     displacement_columns,
     displacement_of,
     finite,
 )
-from daemon.store.records import CalibrationRecord, CameraState, MeasurementRecord, Reading
-from daemon.store.targets import join_reasons, split_reasons, targets_of, targets_text
+from daemon.store.rows.targets import join_reasons, split_reasons, targets_of, targets_text
 
 if TYPE_CHECKING:  # SQLAlchemy is loaded by who needs its rows
     from daemon.store.schema import CalibrationRow

@@ -14,9 +14,9 @@ from core.arrays import FloatArray
 from core.results import Flag
 from core.rig.learning import TargetHours
 from core.site import TargetRole
-from daemon.store.columns import Columns, Tell, read_columns
-from daemon.store.hourly_closures import HOUR, middle_of_hour_s
-from daemon.store.targets import stored_targets
+from daemon.store.queries.columns import Columns, Tell, read_columns
+from daemon.store.rows.hourly_closures import HOUR, middle_of_hour_s
+from daemon.store.rows.targets import stored_targets
 
 _DAY_S = 86_400.0
 

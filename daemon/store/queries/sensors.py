@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from daemon.store.reading import fetch
+from daemon.store.integrity.reading import fetch
 from daemon.store.runs import next_second
 from daemon.store.sqlite import connect_readonly, said_plainly
 from daemon.times import slot_text

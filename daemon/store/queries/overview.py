@@ -17,14 +17,14 @@ from pathlib import Path
 
 from core.moment import Moment
 from core.results import Flag, TargetMeasurement
-from daemon.store.convert import measurement_record, stored_time
-from daemon.store.datum import datum_of, in_record_zero, targets_in_record_zero
-from daemon.store.reading import fetch, value, whole_rows
+from daemon.store.integrity.reading import fetch, value, whole_rows
 from daemon.store.records import Coverage, DatumRecord, GapCause, GapRecord, Mark, MeasurementRecord
 from daemon.store.revisions import require_head
+from daemon.store.rows.convert import measurement_record, stored_time
+from daemon.store.rows.datum import datum_of, in_record_zero, targets_in_record_zero
+from daemon.store.rows.targets import targets_of
 from daemon.store.runs import next_second, overlap, run_between, slot_at
 from daemon.store.sqlite import connect_readonly, existing_path, said_plainly
-from daemon.store.targets import targets_of
 from daemon.times import instant_text, slot_text
 
 

@@ -15,10 +15,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from daemon.store.datum import columns_in_record_zero, read_datums
-from daemon.store.overview import Overview
-from daemon.store.reading import fetch, proved_rows, value, whole_rows
+from daemon.store.integrity.reading import fetch, proved_rows, value, whole_rows
+from daemon.store.queries.overview import Overview
 from daemon.store.revisions import require_head
+from daemon.store.rows.datum import columns_in_record_zero, read_datums
 from daemon.store.runs import next_second
 from daemon.store.sqlite import connect_readonly, existing_path, said_plainly
 from daemon.times import slot_text

@@ -1,0 +1,1 @@
+"""Rows that prove themselves: a checksum in each, checked whenever it is read."""

@@ -1,0 +1,1 @@
+"""The quality ledger: what people say of spans of the record."""

@@ -1,0 +1,1 @@
+"""Each table's rows: from records and back, and their own SQL."""
