@@ -18,6 +18,8 @@ _SPREAD_PLACES = np.unique(np.geomspace(1, 720, 25).astype(int))
 """Places of the grid, up to 5 days, at which it is asked how far a reading changes."""
 _PAST = 78
 """Places of the grid before and after the readings: 13 hours, more than any shift."""
+_NEAR = 3
+"""Places of the grid in half an hour."""
 _START = 144
 """Values of the grid whose mean is what was before the first: a day."""
 
@@ -102,14 +104,27 @@ def reading_of(hours: Hours, channel: int) -> Reading:
     )
 
 
+def known_share(hours: Hours, channel: int) -> float:
+    """Share of the record that is within half an hour of a value: slots may be an hour apart."""
+    places = np.flatnonzero(np.isfinite(hours.readings[:, channel]))
+    if not len(places):
+        return 0.0
+    return float(np.mean(_apart(places, len(hours.readings)) <= _NEAR))
+
+
 def _changes(values: FloatArray) -> FloatArray:
-    """(places,) root mean square change of a reading between values so far apart."""
-    found = [
-        float(np.sqrt(np.nanmean((values[apart:] - values[:-apart]) ** 2)))
-        for apart in _SPREAD_PLACES.tolist()
-        if apart < len(values) and np.isfinite(values[apart:] - values[:-apart]).any()
-    ]
-    return np.array(found + [max(found, default=0.0)] * (len(_SPREAD_PLACES) - len(found)))
+    """(places,) root mean square change of a reading between values so far apart.
+
+    Interpolated where no two values are just so far apart, as with a slot an hour.
+    """
+    known = [(0, 0.0)]
+    for apart in _SPREAD_PLACES.tolist():
+        moved = values[apart:] - values[:-apart]
+        if np.isfinite(moved).any():
+            known.append((apart, float(np.sqrt(np.nanmean(moved**2)))))
+    places, changes = np.array(known).T
+    found: FloatArray = np.interp(_SPREAD_PLACES, places, changes)
+    return found
 
 
 def _apart(places: IntArray, n: int) -> FloatArray:

@@ -14,7 +14,7 @@ import numpy as np
 
 from core.analysis.binning import Hours
 from core.analysis.noise import DAY_S, NoiseFit, gls
-from core.analysis.readings import Lag, Reading, reading_of
+from core.analysis.readings import Lag, Reading, known_share, reading_of
 from core.analysis.regression import (
     Fit,
     Interval,
@@ -192,8 +192,9 @@ def _usable(hours: Hours, channels: tuple[int, ...]) -> list[int]:
     """Those channels that are known in half of the record and change."""
     usable = []
     for channel in channels:
-        there = np.isfinite(hours.readings[:, channel])
-        if there.mean() >= _LEAST_KNOWN and np.ptp(hours.readings[there, channel]) > 0.0:
+        if known_share(hours, channel) < _LEAST_KNOWN:
+            continue
+        if np.nanmax(hours.readings[:, channel]) > np.nanmin(hours.readings[:, channel]):
             usable.append(channel)
     return usable
 

@@ -116,6 +116,19 @@ def test_a_temperature_comes_back_with_its_lag(lag_h: float, *, first_order: boo
     assert found.explained > 0.98
 
 
+def test_slots_half_an_hour_apart_show_the_temperature_too() -> None:
+    """Two of three spans of ten minutes then have no reading, and yet none is missing."""
+    made = make(Bridge(days=45.0, lag_h=3.25), seed=7)
+    taken = np.round(made.times_s / 60.0).astype(int) % 30 == 0
+    hours = hours_of(made.times_s[taken], made.y_mm[taken], made.deck_c[taken, None])
+    found = temperature_response(hours, (0,))
+    assert found is not None
+    (response,) = found.responses
+    assert response.lag_h.value == pytest.approx(3.25, abs=3.0 * response.lag_h.sigma)
+    assert response.lag_h.sigma < 0.05
+    assert response.mm_per_unit.value == pytest.approx(0.25, abs=0.005)
+
+
 def test_a_deck_and_a_slow_girder_come_back_as_two_masses() -> None:
     """As one mass a tenth of a millimetre and more is left, and a part of the size is missed."""
     bridge = Bridge(days=45.0, lag_h=1.5, first_order=True, slow_share=0.4, slow_h=18.0)
