@@ -10,7 +10,7 @@ from pathlib import Path
 
 from drivers.errors import MissingLibraryError
 
-_NOT_BROUGHT = ("pyarrow", "dask")
+_NOT_BROUGHT = ("pyarrow", "dask", "fsspec")
 """What neither `make install` nor the package brings, for its size."""
 
 

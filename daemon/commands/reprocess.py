@@ -29,12 +29,12 @@ from daemon.commands.output import Steps, note, print_json, progress
 from daemon.commands.output_files import opened_table
 from daemon.config.reading import Config
 from daemon.errors import DatabaseMissingError, UsageError, WorkFailedError
+from daemon.remote_path import is_url
 from daemon.reports.table import write_results
 from daemon.reprocessing.chunks import CHUNK_SLOTS, Work
 from daemon.reprocessing.frames import Frames, KeptFrames, SeenSlot, frames_at
 from daemon.reprocessing.in_order import InOrder
 from daemon.reprocessing.parts import Parts
-from daemon.reprocessing.remote import is_url
 from daemon.reprocessing.running import WORTH_SHARING, seen_slots
 from daemon.slots.measuring import ActiveCalibration
 from daemon.store.database import NEVER, open_store_readonly

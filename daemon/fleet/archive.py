@@ -18,7 +18,7 @@ from urllib.parse import quote
 
 from daemon.durable import make_directory_durable, write_durable
 from daemon.fleet.month_file import LAYOUT, parquet_of_rows, parquet_of_small
-from daemon.reprocessing.remote import RemotePath, is_url
+from daemon.remote_path import RemotePath, is_url
 
 if TYPE_CHECKING:
     from daemon.store.central.connecting import Central

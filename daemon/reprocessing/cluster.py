@@ -15,9 +15,10 @@ from typing import Any, cast
 from daemon.errors import DcamError, HardwareError, UsageError, WorkFailedError
 from daemon.reprocessing.chunks import Chunk, SeenChunk, Work, chunk_key, see_chunk_elsewhere
 from daemon.reprocessing.parts import Parts
-from daemon.reprocessing.remote import EXTRA
 from daemon.slots.identity import Identity, own_identity
+from drivers.libraries import how_to_install
 
+DASK = how_to_install("dask", extra="dask", there="reprocess a copy of the frames")
 _AHEAD = 2
 """Chunks in flight for each thread of the workers: one at work, one that waits. More would only
 make a slow disk seek."""
@@ -66,7 +67,7 @@ def remote_cluster(address: str, tell: Tell) -> Iterator[Any]:
     try:
         from distributed import Client
     except ImportError:
-        msg = f"--scheduler needs dask: {EXTRA}"
+        msg = f"--scheduler needs dask: {DASK}"
         raise WorkFailedError(msg) from None
     _silence()
     with warnings.catch_warnings(record=True) as warned:

@@ -11,7 +11,7 @@ from typing import Protocol
 from core.moment import Moment
 from core.results import Measurement
 from core.site import Site
-from daemon.reprocessing.remote import RemotePath, is_url
+from daemon.remote_path import RemotePath, is_url
 from daemon.slots.measuring import (
     ActiveCalibration,
     ImagePair,

@@ -11,7 +11,6 @@ from daemon.reprocessing import cluster
 from daemon.reprocessing.chunks import Chunk, Work, chunk_key, in_chunks, read_chunk, see_chunk
 from daemon.reprocessing.frames import Frames, SeenSlot
 from daemon.reprocessing.parts import Parts
-from daemon.reprocessing.remote import EXTRA
 
 LOCAL, SERIAL = "local", "serial"
 WORTH_SHARING = 100
@@ -48,7 +47,7 @@ def seen_slots(
 def _chosen(scheduler: str | None, count: int, tell: Callable[[str], None]) -> str:
     has_dask = find_spec("distributed") is not None
     if scheduler == LOCAL and not has_dask:
-        msg = f"--scheduler {LOCAL} needs dask: {EXTRA}"
+        msg = f"--scheduler {LOCAL} needs dask: {cluster.DASK}"
         raise WorkFailedError(msg)
     if scheduler is not None:
         return scheduler
@@ -58,7 +57,7 @@ def _chosen(scheduler: str | None, count: int, tell: Callable[[str], None]) -> s
         tell("measuring on one core: there is no other")
         return SERIAL
     if not has_dask:
-        tell(f"measuring on one core of {cluster.cores()}; dask would use all: {EXTRA}")
+        tell(f"measuring on one core of {cluster.cores()}; dask would use all: {cluster.DASK}")
         return SERIAL
     return LOCAL
 

@@ -9,8 +9,7 @@ from typing import Any
 from daemon.errors import HardwareError, UsageError, WorkFailedError
 from drivers.libraries import how_to_install
 
-EXTRA = how_to_install("dask", extra="dask", there="reprocess a copy of the frames")
-"""What brings dask and fsspec."""
+_FSSPEC = how_to_install("fsspec", extra="archive", there="name a directory")
 
 
 class StorageError(HardwareError):
@@ -104,7 +103,7 @@ def _opened(url: str) -> tuple[Any, str]:
     try:
         from fsspec.core import url_to_fs
     except ImportError:
-        msg = f"{url}: a URL needs fsspec: {EXTRA}"
+        msg = f"{url}: a URL needs fsspec: {_FSSPEC}"
         raise WorkFailedError(msg) from None
     try:
         files, path = url_to_fs(url)
