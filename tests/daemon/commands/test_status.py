@@ -282,7 +282,7 @@ def test_what_keeps_it_from_a_verdict_is_unknown_in_one_line_on_stdout(
 
 
 def test_a_config_with_several_faults_is_unknown_and_still_json(site: Site) -> None:
-    site.config.write_text(SIMULATED.replace("= 8.0", "= -8.0").replace("= 2.0", "= -2.0"))
+    site.config.write_text(SIMULATED.replace("= 8.0", "= -8.0").replace("= 4.0", "= -4.0"))
     ran = site.ctl("status", "--json")
     assert ran.code == 3
     document = json.loads(ran.out)
