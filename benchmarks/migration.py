@@ -28,7 +28,7 @@ BEGIN = datetime(2024, 3, 1, tzinfo=UTC)
 _BATCH = 10_000
 
 
-def write_old(path: Path, revision: str, rows: int) -> None:
+def write_old(path: Path, revision: str, rows: int, begin_utc: datetime = BEGIN) -> None:
     """A database of a revision, a row a minute."""
     engine = make_engine(path)
     config = migrate.alembic_config()
@@ -38,17 +38,20 @@ def write_old(path: Path, revision: str, rows: int) -> None:
     engine.dispose()
     with closing(sqlite3.connect(path)) as database:
         for first in range(0, rows, _BATCH):
-            made = [_row(number) for number in range(first, min(first + _BATCH, rows))]
+            made = [
+                old_row(number, begin_utc) for number in range(first, min(first + _BATCH, rows))
+            ]
             names, places = ", ".join(made[0]), ", ".join("?" * len(made[0]))
             statement = f"INSERT INTO measurement ({names}) VALUES ({places})"
             database.executemany(statement, [tuple(row.values()) for row in made])
             database.commit()
 
 
-def _row(number: int) -> dict[str, object]:
+def old_row(number: int, begin_utc: datetime = BEGIN) -> dict[str, object]:
+    """A row as revision 0006 has it, with its checksum."""
     row: dict[str, object] = {
         "id": number + 1,
-        "slot_utc": slot_text(BEGIN + timedelta(minutes=number)),
+        "slot_utc": slot_text(begin_utc + timedelta(minutes=number)),
         "flag": 1,
         "reasons": "",
         "x_mm": 0.25 + 1e-6 * number,

@@ -9,8 +9,6 @@ from typing import Any
 from daemon.errors import HardwareError, UsageError, WorkFailedError
 from drivers.libraries import how_to_install
 
-_FSSPEC = how_to_install("fsspec", extra="archive", there="name a directory")
-
 
 class StorageError(HardwareError):
     """A storage did not answer: that says nothing of the frame."""
@@ -103,7 +101,8 @@ def _opened(url: str) -> tuple[Any, str]:
     try:
         from fsspec.core import url_to_fs
     except ImportError:
-        msg = f"{url}: a URL needs fsspec: {_FSSPEC}"
+        cure = how_to_install("fsspec", extra="archive", there="name a directory")
+        msg = f"{url}: a URL needs fsspec: {cure}"
         raise WorkFailedError(msg) from None
     try:
         files, path = url_to_fs(url)

@@ -153,9 +153,7 @@ def gls(whitening: Whitening, design: FloatArray, values_mm: FloatArray) -> Gls:
     coefficients = inverse @ (weighted.T @ values_mm)
     residuals = values_mm - (design / scale) @ coefficients
     whitened = solved_values - weighted @ coefficients
-    variance = max(float(residuals @ whitened) / (n - p), _LEAST_MM**2)
-    _, log_normal = np.linalg.slogdet(normal)
-    likelihood = 0.5 * ((n - p) * np.log(variance) + whitening.log_determinant + log_normal)
+    variance, minus_log = _restricted(whitening, normal, float(residuals @ whitened), n - p)
     return Gls(
         coefficients / scale,
         variance * inverse / np.outer(scale, scale),
@@ -163,8 +161,18 @@ def gls(whitening: Whitening, design: FloatArray, values_mm: FloatArray) -> Gls:
         whitened / variance,
         weighted * scale / variance,
         variance,
-        float(likelihood),
+        minus_log,
     )
+
+
+def _restricted(
+    whitening: Whitening, normal: FloatArray, squares: float, freedom: int
+) -> tuple[float, float]:
+    """s^2 of whitened squares, and minus the logarithm of the restricted likelihood at it."""
+    variance = max(squares / freedom, _LEAST_MM**2)
+    _, log_normal = np.linalg.slogdet(normal)
+    logs = freedom * np.log(variance) + whitening.log_determinant + log_normal
+    return variance, float(0.5 * logs)
 
 
 class _Likelihood:
@@ -187,11 +195,8 @@ class _Likelihood:
         half = whitening.half(self._hidden)
         weighted = self._products - half.T @ half  # the columns' own with K^-1
         normal, score = weighted[:-1, :-1], weighted[:-1, -1]
-        n, p = len(self._times_days), len(normal)
         squares = float(weighted[-1, -1] - score @ np.linalg.solve(normal, score))
-        variance = max(squares / (n - p), _LEAST_MM**2)
-        _, log_normal = np.linalg.slogdet(normal)
-        return float(0.5 * ((n - p) * np.log(variance) + whitening.log_determinant + log_normal))
+        return _restricted(whitening, normal, squares, len(self._times_days) - len(normal))[1]
 
 
 @dataclass(frozen=True, slots=True)

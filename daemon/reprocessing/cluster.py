@@ -18,7 +18,6 @@ from daemon.reprocessing.parts import Parts
 from daemon.slots.identity import Identity, own_identity
 from drivers.libraries import how_to_install
 
-DASK = how_to_install("dask", extra="dask", there="reprocess a copy of the frames")
 _AHEAD = 2
 """Chunks in flight for each thread of the workers: one at work, one that waits. More would only
 make a slow disk seek."""
@@ -67,7 +66,7 @@ def remote_cluster(address: str, tell: Tell) -> Iterator[Any]:
     try:
         from distributed import Client
     except ImportError:
-        msg = f"--scheduler needs dask: {DASK}"
+        msg = f"--scheduler needs dask: {how_to_install_dask()}"
         raise WorkFailedError(msg) from None
     _silence()
     with warnings.catch_warnings(record=True) as warned:
@@ -179,6 +178,11 @@ def _awaited(client: Any, future: Any) -> SeenChunk:
         if time.monotonic() - alone_since_s > ALONE_S:
             msg = f"no worker is left since {ALONE_S:g} s; start some, and run it again to go on"
             raise HardwareError(msg)
+
+
+def how_to_install_dask() -> str:
+    """What to do in this installation to have it."""
+    return how_to_install("dask", extra="dask", there="reprocess a copy of the frames")
 
 
 def cores() -> int:

@@ -47,7 +47,7 @@ def seen_slots(
 def _chosen(scheduler: str | None, count: int, tell: Callable[[str], None]) -> str:
     has_dask = find_spec("distributed") is not None
     if scheduler == LOCAL and not has_dask:
-        msg = f"--scheduler {LOCAL} needs dask: {cluster.DASK}"
+        msg = f"--scheduler {LOCAL} needs dask: {cluster.how_to_install_dask()}"
         raise WorkFailedError(msg)
     if scheduler is not None:
         return scheduler
@@ -57,7 +57,8 @@ def _chosen(scheduler: str | None, count: int, tell: Callable[[str], None]) -> s
         tell("measuring on one core: there is no other")
         return SERIAL
     if not has_dask:
-        tell(f"measuring on one core of {cluster.cores()}; dask would use all: {cluster.DASK}")
+        cure = cluster.how_to_install_dask()
+        tell(f"measuring on one core of {cluster.cores()}; dask would use all: {cure}")
         return SERIAL
     return LOCAL
 

@@ -66,14 +66,19 @@ def made_by() -> str:
 
     Equal texts mean equal code, libraries and type of processor.
     """
-    computed_with = (code_digest(NUMERICS), _libraries(), str(get_host_cpu_name()))
+    computed_with = (_numerics_digest(), _libraries(), str(get_host_cpu_name()))
     return f"{VERSION}+{hashlib.sha256(repr(computed_with).encode()).hexdigest()[:_DIGITS]}"
 
 
 def made_with() -> str:
     """What the digest of `made_by` was made of, in words."""
     named = ", ".join(f"{name} {version}" for name, version in _libraries())
-    return f"code {code_digest(NUMERICS)}, {named}, processor {get_host_cpu_name()}"
+    return f"code {_numerics_digest()}, {named}, processor {get_host_cpu_name()}"
+
+
+@cache
+def _numerics_digest() -> str:
+    return code_digest(NUMERICS)
 
 
 def _libraries() -> tuple[tuple[str, str], ...]:

@@ -295,7 +295,7 @@ def build_app(settings: Settings, live: Shown | None = None) -> Starlette:
 
     return Starlette(
         routes=_routes(page),
-        middleware=[Middleware(Guard, settings=settings, refuse=page.views.message)],
+        middleware=[Middleware(Guard, viewers=settings.viewers, refuse=page.views.message)],
         exception_handlers=handlers(page.views),
         lifespan=lifespan,
     )

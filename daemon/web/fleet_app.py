@@ -200,7 +200,7 @@ def build_fleet_app(centre: Centre) -> Starlette:
             Mount("/sites", app=page.site),
             Route("/static/{path:path}", StaticFiles(HERE / "static").answer),
         ],
-        middleware=[Middleware(Guard, settings=viewers(centre.web), refuse=page.views.message)],
+        middleware=[Middleware(Guard, viewers=viewers(centre.web), refuse=page.views.message)],
         exception_handlers=handlers(page.views),
         lifespan=lifespan,
     )

@@ -12,7 +12,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from daemon.web.settings import Settings, Viewers
+from daemon.web.settings import Viewers
 
 COOKIE = "dcam"
 MOST_QUERY = 4096
@@ -41,9 +41,9 @@ def host_name(host: str) -> str:
 class Guard:
     """Refuses other hosts (DNS rebinding), other methods, and who has no token."""
 
-    def __init__(self, app: ASGIApp, settings: Settings | Viewers, refuse: MessagePage) -> None:
+    def __init__(self, app: ASGIApp, viewers: Viewers, refuse: MessagePage) -> None:
         self._app = app
-        self._settings = settings
+        self._viewers = viewers
         self._refuse = refuse
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -68,7 +68,7 @@ class Guard:
     def _refusal(self, scope: Scope) -> Response | None:
         headers = Headers(scope=scope)
         hosts = headers.getlist("host")
-        if len(hosts) != 1 or host_name(hosts[0]) not in self._settings.hosts:
+        if len(hosts) != 1 or host_name(hosts[0]) not in self._viewers.hosts:
             text = "not a name of this page; [web] hosts in the config lists them"
             return self._refuse(scope, 403, text)
         if scope["method"] not in {"GET", "HEAD"}:
@@ -77,7 +77,7 @@ class Guard:
             return answer
         if len(scope["query_string"]) > MOST_QUERY or len(scope["path"]) > MOST_QUERY:
             return self._refuse(scope, 414, "the address is too long")
-        if self._settings.token is None:
+        if self._viewers.token is None:
             return None
         path = str(scope["path"])
         if path == "/login":
@@ -98,7 +98,7 @@ class Guard:
 
     def _is_token(self, given: str) -> bool:
         """Compare in a time that says nothing of where they differ."""
-        token = self._settings.token or ""
+        token = self._viewers.token or ""
         return hmac.compare_digest(given.encode(errors="replace"), token.encode())
 
     def _login(self, scope: Scope) -> Response:
@@ -108,7 +108,7 @@ class Guard:
         answer = RedirectResponse("/", 303)
         answer.set_cookie(
             COOKIE,
-            self._settings.token or "",
+            self._viewers.token or "",
             max_age=180 * 86_400,
             httponly=True,
             samesite="strict",

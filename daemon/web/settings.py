@@ -33,9 +33,7 @@ class Settings:
     site: Installation
     cache: Path
     """A directory of the page's own; it may be removed at any time."""
-    token: str | None = field(default=None, repr=False)
-    hosts: frozenset[str] = LOOPBACK_NAMES
-    """Names that a browser may ask for, without the port, in small letters."""
+    viewers: Viewers = Viewers()
 
     @property
     def state(self) -> Path:
@@ -45,8 +43,7 @@ class Settings:
 
 def settings_of(site: Installation) -> Settings:
     """What `[web]` says. Raises ConfigError, HardwareError."""
-    who = viewers(site.config.web)
-    return Settings(site, cache_directory(site.state_directory), who.token, who.hosts)
+    return Settings(site, cache_directory(site.state_directory), viewers(site.config.web))
 
 
 def viewers(web: WebSection) -> Viewers:

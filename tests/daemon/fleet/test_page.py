@@ -18,7 +18,7 @@ from daemon.web.fleet_app import FleetPage
 from tests.daemon.fleet.conftest import Pier, sync
 from tests.daemon.fleet.postgres import Proxy, Server
 from tests.daemon.fleet.test_commands import ctl, with_url
-from tests.daemon.web.browsing import CHROMIUM, start_chromium, visiting
+from tests.daemon.web.browsing import start_chromium, visiting
 from tests.laboratory import laboratory
 from tests.waiting import wait_for
 
@@ -33,8 +33,6 @@ def test_all_sites_are_a_list_a_map_and_each_its_record(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    if not CHROMIUM.exists():
-        pytest.skip("Debian's chromium is missing: apt-get install chromium fonts-dejavu-core")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     config, state = tmp_path / "dcam.toml", tmp_path / "one"
     text, place = with_url(server.url(central)), "latitude_deg = 50.0\nlongitude_deg = 8.1\n"

@@ -18,6 +18,7 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import Engine, create_engine, event, inspect
 
+from benchmarks.migration import old_row, write_old
 from daemon.errors import (
     DatabaseDamagedError,
     DatabaseForeignError,
@@ -31,7 +32,6 @@ from daemon.store import migrate
 from daemon.store.damage_note import databases_set_aside
 from daemon.store.database import open_store, open_store_readonly
 from daemon.store.engine import make_engine
-from daemon.store.integrity.checksum import row_digest
 from daemon.store.opening import open_checked_store
 from daemon.store.revisions import REVISIONS, SCRIPTS
 from daemon.store.schema import Base
@@ -182,34 +182,8 @@ def test_rows_from_before_bursts_rest_on_one_pair(tmp_path: Path) -> None:
 
 def test_rows_from_before_further_targets_stay_as_they_are(tmp_path: Path) -> None:
     """A database of revision 0006: values and digests stay; the image gives the whole sigma."""
-    row: dict[str, object] = {
-        "id": 1,
-        "slot_utc": slot_text(slot(0)),
-        "flag": 1,
-        "reasons": "",
-        "x_mm": 0.25,
-        "y_mm": 0.5,
-        "sigma_x_mm": 0.1,
-        "sigma_y_mm": 0.2,
-        "cov_xy_mm2": 0.001,
-        "discs_found": 5,
-        "corners_used": 900,
-        "frames_used": 1,
-        "recorded_late": 0,
-        "config_hash": "c0ffee",
-        "version": "0.1",
-    }
-    row["digest"] = row_digest("measurement", row)
-    engine = make_engine(tmp_path / "dcam.db")
-    config = migrate.alembic_config()
-    with engine.execution_options(dcam_begin="IMMEDIATE").begin() as connection:
-        config.attributes["connection"] = connection
-        command.upgrade(config, "0006")
-        names, places = ", ".join(row), ", ".join("?" * len(row))
-        connection.exec_driver_sql(
-            f"INSERT INTO measurement ({names}) VALUES ({places})", tuple(row.values())
-        )
-    engine.dispose()
+    row = old_row(0, slot(0))
+    write_old(tmp_path / "dcam.db", "0006", 1, slot(0))
     with open_store(tmp_path, now_utc=NOW) as store:
         (read,) = store.measurements()
         store.add_measurement(full_record(slot(1)))

@@ -15,7 +15,7 @@ from benchmarks.page_server import ROOT, serving
 from daemon.config.reading import load_config
 from daemon.store.database import open_store
 from daemon.store.ledger.entries import LedgerEntry, LedgerKind
-from tests.daemon.web.browsing import CHROMIUM, start_chromium
+from tests.daemon.web.browsing import start_chromium
 
 SLOTS = 20_000
 """More than a figure has pixels, so that buckets are drawn."""
@@ -41,8 +41,6 @@ class Served:
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
-    if not CHROMIUM.exists():
-        pytest.skip("Debian's chromium is missing: apt-get install chromium fonts-dejavu-core")
     with sync_playwright() as playwright:
         chromium = start_chromium(playwright)
         yield chromium
