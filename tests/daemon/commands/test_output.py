@@ -72,8 +72,9 @@ def test_a_terminal_shows_every_word_that_a_pipe_gets(gappy: Site, columns: int)
 
 
 def without_sizes(text: str) -> str:
-    """Without the free space of the disk, which others use meanwhile."""
-    return re.sub(r"disk_free=\d+B|[\d.]+ GB|(free_bytes|_bytes\S*) \S+", "SIZE", text)
+    """Without the free space of the disk, and how long it lasts: others use it meanwhile."""
+    sizes = r"disk_free=\d+B|[\d.]+ GB|(free_bytes|_bytes\S*) \S+|after\s+[\d.]+\s+days"
+    return re.sub(sizes, "SIZE", text)
 
 
 CLEAR = "\x1b[2J\x1b]0;owned\x07\x9b31m"
