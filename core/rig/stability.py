@@ -150,6 +150,7 @@ def stability_terms(
     days = age_s / _DAY_S
     settled = 1.0 - float(np.exp(-((age_s / _SETTLED_S) ** 2)))
     lens_k, steel_k = _warming(site, reference, now, budget.temperature_range_k * settled)
+    elapsed = "a day" if days < 1.5 else f"{days:.0f} days"
     warmed, lens_warmed = f"{abs(steel_k):.1f} K", f"{abs(lens_k):.1f} K"
 
     def turns(urad_per_k: float, urad_per_sqrt_day: float) -> tuple[float, float]:
@@ -170,13 +171,9 @@ def stability_terms(
     zero = np.zeros(STATE)
     return (
         Term(f"the cameras turning against each other over {warmed}", of_turn(cameras_k), _STIFFER),
-        Term(
-            f"the cameras turning against each other in {days:.0f} days",
-            of_turn(cameras_d),
-            _STIFFER,
-        ),
+        Term(f"the cameras turning against each other in {elapsed}", of_turn(cameras_d), _STIFFER),
         Term(f"the board turning on the pier over {warmed}", of_turn(board_k), _BOARD),
-        Term(f"the board turning on the pier in {days:.0f} days", of_turn(board_d), _BOARD),
+        Term(f"the board turning on the pier in {elapsed}", of_turn(board_d), _BOARD),
         Term(
             f"the board expanding over {warmed}",
             np.diag([slide_px**2, slide_px**2, *zero[2:]]),
