@@ -19,7 +19,7 @@ help:
 	@echo "make bench   measure time and memory: docs/benchmarks.md"
 	@echo "make studies repeat the studies of accuracy, an hour or so: docs/studies; a second run continues"
 	@echo "make picture draw docs/images/architecture.svg from the code (needs graphviz)"
-	@echo "make page-pictures take docs/images/page-*.png anew, from the tests (needs chromium)"
+	@echo "make page-pictures take docs/images/page-*.png again, from the tests (needs chromium)"
 	@echo "make docs    the documents as a site: out/docs/index.html"
 	@echo "make install install or upgrade the service, as root: /opt/dcam; make uninstall keeps data"
 	@echo "make deb     build a Debian package: dist/"
