@@ -23,7 +23,7 @@ _AHEAD = 2
 make a slow disk seek."""
 _CONNECT_S = 10.0
 ALONE_S = 120.0
-"""Without any worker, before the run is ended. Chosen: a worker starts anew in 5 to 30 s."""
+"""Without any worker, before the run is ended. Chosen: a worker starts again in 5 to 30 s."""
 _LOOK_S = 5.0
 _TRIES = 3
 """Of a chunk whose storage does not answer."""

@@ -78,7 +78,7 @@ def announce(central: Central, state: Path, facts: SiteFacts) -> int:
         if number is None:
             msg = (
                 f"{central.name}: the name {facts.name!r} is another database's, or this one was "
-                "begun anew: give this site another [site] name, so that both records stay"
+                "replaced by an empty one: give this site another [site] name; both records stay"
             )
             raise StoreError(msg)
     return int(number)

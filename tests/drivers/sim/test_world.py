@@ -109,7 +109,7 @@ def test_raw_is_true_plus_false() -> None:
 
 
 def test_truth_from_another_reference() -> None:
-    """Seen from a reference amid the drift, the truth at that reference is zero, then the change.
+    """Seen from a reference within the drift, the truth at that reference is zero, then the change.
 
     T_CSj_CS1 = T_CSj_CS0 inv(T_CS1_CS0).
     """
