@@ -1,17 +1,20 @@
 """`calibrate --pan-tilt` killed at ten moments, one after the other: then it ends well."""
 
+import os
 import random
 import signal
-import subprocess
-import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from benchmarks.soak_history import SITE
 from daemon.store.database import open_store_readonly
 from drivers.frameset import read_frame_set
 from drivers.sim.head_angles import AnglesAsker
-from tests.drivers.heads.test_head_programs import ROOT, simulated_head
+from tests.drivers.heads.test_head_programs import simulated_head
+from tests.programs import Program
 from tests.waiting import PATIENCE_S
 
 KILLS, SEED = 10, 5
@@ -31,31 +34,29 @@ def files_below(state: Path) -> int:
     return sum(1 for _ in state.glob("calibrations/*/*.png"))
 
 
-def start(directory: Path) -> subprocess.Popen[bytes]:
-    arguments = ["--config", directory / "dcam.toml", "--state", directory / "state"]
-    return subprocess.Popen(
-        [
-            *(sys.executable, "-m", "daemon.ctl", *arguments),
-            *("calibrate", "--pan-tilt", "--accept"),
-        ],
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-    )
+@contextmanager
+def calibrating(directory: Path) -> Iterator[tuple[Program, BinaryIO]]:
+    """The program, and a pipe from what it and its guard say."""
+    pipe = directory / "said"
+    os.mkfifo(pipe)
+    where = ("--config", directory / "dcam.toml", "--state", directory / "state")
+    program = Program("daemon.ctl", *where, "calibrate", "--pan-tilt", "--accept", stderr=pipe)
+    with program, pipe.open("rb") as said:
+        yield program, said
+    pipe.unlink()
 
 
 def killed_after(directory: Path, files: int) -> bytes:
     """Kill it when so many new images are there, or just before; give what was said at the end."""
     begun = files_below(directory / "state")
-    with start(directory) as program:
+    with calibrating(directory) as (program, pipe):
         end_s = time.monotonic() + PATIENCE_S
         while files_below(directory / "state") < begun + files and program.poll() is None:
             assert time.monotonic() < end_s
             time.sleep(0.002)
-        assert program.poll() is None, program.stderr.read()
+        assert program.poll() is None, pipe.read()
         program.kill()
-        said = program.stderr.read()  # the guard has the other end of it: it has done its work
+        said = pipe.read()  # the guard has the other end of it: it has done its work
     assert program.returncode == -signal.SIGKILL
     return said
 
@@ -78,8 +79,8 @@ def test_ten_kills(tmp_path: Path) -> None:
                 with open_store_readonly(state) as store:
                     assert store.active_calibration() is None
         kept = files_below(state)
-        with start(tmp_path) as program:
-            said = program.stderr.read()
+        with calibrating(tmp_path) as (program, pipe):
+            said = pipe.read()
         assert program.returncode == 0, said
         assert b"continuing" in said
     assert halted > 0

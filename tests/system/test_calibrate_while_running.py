@@ -2,8 +2,6 @@
 
 import contextlib
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,12 +9,11 @@ from core.results import Flag, Reason
 from daemon.store.database import open_store_readonly
 from daemon.store.records import GapCause
 from tests.daemon.commands.conftest import SIMULATED
+from tests.programs import Program, ran
 from tests.waiting import PATIENCE_S, wait_for
 
-ROOT = Path(__file__).parents[2]
 
-
-def wait_for_slots(dcamd: subprocess.Popen, log: Path, count: int) -> None:
+def wait_for_slots(dcamd: Program, log: Path, count: int) -> None:
     """Wait until so many slots have a row, as dcamd says in its log."""
 
     def are_there() -> bool:
@@ -31,7 +28,7 @@ def slots_done(log: Path) -> int:
 
 
 @contextlib.contextmanager
-def killed_at_the_end(dcamd: subprocess.Popen) -> Iterator[None]:
+def killed_at_the_end(dcamd: Program) -> Iterator[None]:
     """A test that fails must not wait for ever for a daemon that nobody has stopped."""
     try:
         yield
@@ -46,24 +43,12 @@ def test_slots_before_gap_calibration_slots_after(tmp_path: Path) -> None:
     of_daemon.write_text(SIMULATED + 'clock = "system"\n[schedule]\nperiod_s = 2\n')
     of_head.write_text(SIMULATED + "[schedule]\nperiod_s = 2\n")
     said = tmp_path / "log"
-    with said.open("w") as log:
-        dcamd = subprocess.Popen(
-            [sys.executable, "-m", "daemon.main", "--config", of_daemon, "--state", state],
-            cwd=ROOT,
-            stderr=log,
-        )
+    said.touch()
+    dcamd = Program("daemon.main", "--config", of_daemon, "--state", state, stderr=said)
     with dcamd, killed_at_the_end(dcamd):
         wait_for_slots(dcamd, said, 2)
-        calibrated = subprocess.run(
-            [
-                *(sys.executable, "-m", "daemon.ctl", "--config", of_head, "--state", state),
-                *("calibrate", "--pan-tilt"),
-            ],
-            cwd=ROOT,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            check=False,
+        calibrated = ran(
+            "daemon.ctl", "--config", of_head, "--state", state, "calibrate", "--pan-tilt"
         )
         assert calibrated.returncode == 0, calibrated.stderr
         wait_for_slots(dcamd, said, slots_done(said) + 2)

@@ -10,8 +10,6 @@ import csv
 import itertools
 import signal
 import sqlite3
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -27,8 +25,9 @@ from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
 from drivers.sim.settings import SimSettings
 from tests.drivers.genicam.gige.bench import gige_network, image_index, read_pixels, running
 from tests.drivers.genicam.gige.loopback import ADDRESSES
-from tests.drivers.genicam.gige.process import REPOSITORY, CameraProcess
+from tests.drivers.genicam.gige.process import CameraProcess
 from tests.laboratory import laboratory
+from tests.programs import Program, ran
 from tests.waiting import PATIENCE_S
 
 PERIOD_S = 2
@@ -63,8 +62,7 @@ class Place:
 
     def run(self, *arguments: str | Path) -> str:
         """Run dcam-ctl on the site; it must succeed."""
-        command = [sys.executable, "-m", "daemon.ctl", *self.where(), *map(str, arguments)]
-        done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+        done = ran("daemon.ctl", *self.where(), *arguments)
         assert done.returncode == 0, done.stderr
         return done.stdout
 
@@ -125,13 +123,8 @@ def cameras(place: Place) -> Iterator[dict[str, CameraProcess]]:
 @pytest.fixture(scope="module")
 def history(place: Place, cameras: dict[str, CameraProcess]) -> dict[str, datetime]:
     """Run dcamd through the loss of a camera; tells when what happened."""
-    log = (place.state.parent / "dcamd.log").open("w")
-    with (
-        log,
-        subprocess.Popen(
-            [sys.executable, "-m", "daemon.main", *place.where()], cwd=REPOSITORY, stderr=log
-        ) as dcamd,
-    ):
+    log = place.state.parent / "dcamd.log"
+    with Program("daemon.main", *place.where(), stderr=log) as dcamd:
         try:
             when = _lose_and_give_back(place, cameras["main"], dcamd)
             dcamd.send_signal(signal.SIGTERM)
@@ -141,9 +134,7 @@ def history(place: Place, cameras: dict[str, CameraProcess]) -> dict[str, dateti
     return when
 
 
-def _lose_and_give_back(
-    place: Place, camera: CameraProcess, dcamd: subprocess.Popen[bytes]
-) -> dict[str, datetime]:
+def _lose_and_give_back(place: Place, camera: CameraProcess, dcamd: Program) -> dict[str, datetime]:
     def wait_for(what: str, condition: Callable[[], bool]) -> datetime:
         deadline_s = time.monotonic() + PATIENCE_S
         while not condition():

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,8 +12,8 @@ from tests.drivers.genicam.gentl.bench import producer
 from tests.drivers.genicam.gige.bench import gige_network, running, write_images
 from tests.drivers.genicam.gige.kinds import kind_of
 from tests.drivers.genicam.gige.loopback import ADDRESSES
-from tests.drivers.genicam.gige.process import REPOSITORY
 from tests.laboratory import laboratory
+from tests.programs import ran
 
 CONFIG = (
     laboratory(720, "harvesters")
@@ -34,9 +32,8 @@ def check(
     """Exit code, findings by name as (state, text), and stderr."""
     config = directory / "dcam.toml"
     config.write_text(CONFIG.replace("PRODUCER", str(cti)).replace("harvesters", backend))
-    command = [sys.executable, "-m", "daemon.ctl", "--config", str(config)]
-    command += ["--state", str(directory / "state"), "check", "--hardware", "--json"]
-    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    where = ("--config", config, "--state", directory / "state")
+    done = ran("daemon.ctl", *where, "check", "--hardware", "--json")
     findings = json.loads(done.stdout)["findings"]
     return done.returncode, {f["name"]: (f["state"], f["text"]) for f in findings}, done.stderr
 

@@ -3,7 +3,6 @@
 import json
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
@@ -19,7 +18,8 @@ from daemon.schedule import Schedule
 from daemon.slots.snapshot import room_for_look
 from drivers.errors import DeviceLostError
 from tests.daemon.control.test_control import ask, connected
-from tests.daemon.slots.test_dcamd import MARCH, REAL_TIME, ROOT, Site, unaccounted
+from tests.daemon.slots.test_dcamd import MARCH, REAL_TIME, Site, unaccounted
+from tests.programs import Program, ran
 from tests.waiting import PATIENCE_S
 
 LOST = '[[simulation.scenarios]]\nkind = "camera_loss"\nrole = "sub"\nstart_min = 0\n'
@@ -33,7 +33,7 @@ def site(tmp_path: Path):
 
 
 @contextmanager
-def running(site: Site) -> Iterator[subprocess.Popen]:
+def running(site: Site) -> Iterator[Program]:
     """A dcamd on the machine's clock, that ends in order."""
     process = site.start()
     try:
@@ -45,14 +45,7 @@ def running(site: Site) -> Iterator[subprocess.Popen]:
 
 
 def ctl(site: Site, *words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "daemon.ctl", *site.command()[3:], *words],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    return ran("daemon.ctl", *site.where(), *words)
 
 
 def test_a_look_beside_dcamd_is_reported_and_not_recorded(site: Site) -> None:

@@ -7,8 +7,6 @@ import os
 import re
 import signal
 import sqlite3
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -19,9 +17,9 @@ from daemon.store.database import Store, open_store
 from daemon.store.records import MeasurementRecord
 from drivers.frameset import read_frame_set
 from tests.laboratory import laboratory
+from tests.programs import Program, ran
 from tests.waiting import PATIENCE_S, wait_for
 
-ROOT = Path(__file__).parents[3]
 SITE = laboratory(320, "simulated")
 REAL_TIME = '[schedule]\nperiod_s = 4\n[simulation]\nclock = "system"\n'
 
@@ -38,31 +36,22 @@ def script(text: str) -> str:
     return f"command = {json.dumps(['/bin/sh', '-c', text])}"
 
 
-def command(directory: Path, *more: str) -> list[str]:
-    where = ["--config", str(directory / "dcam.toml"), "--state", str(directory / "state")]
-    return [sys.executable, "-m", "daemon.main", *where, *more]
+def where(directory: Path) -> tuple[object, ...]:
+    return "--config", directory / "dcam.toml", "--state", directory / "state"
 
 
 def run(directory: Path, config: str, *more: str) -> str:
     """A daemon's life from beginning to end; gives its log."""
     (directory / "dcam.toml").write_text(SITE + config)
-    done = subprocess.run(
-        command(directory, *more),
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    done = ran("daemon.main", *where(directory), *more)
     assert done.returncode == 0, done.stderr
     return done.stderr
 
 
 @contextmanager
-def running(directory: Path, config: str) -> Iterator[subprocess.Popen[str]]:
+def running(directory: Path, config: str) -> Iterator[Program]:
     (directory / "dcam.toml").write_text(SITE + config)
-    with (directory / "log").open("a") as log:
-        process = subprocess.Popen(command(directory), cwd=ROOT, stderr=log, text=True)
+    process = Program("daemon.main", *where(directory), stderr=directory / "log")
     try:
         yield process
     finally:

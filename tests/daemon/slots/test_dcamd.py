@@ -19,6 +19,7 @@ from daemon.clock.machine import BOOT_ID_VARIABLE
 from daemon.store.database import Store, open_store
 from daemon.store.records import GapCause, Mark
 from tests.laboratory import laboratory
+from tests.programs import Program, ran
 from tests.waiting import PATIENCE_S
 
 DCAMD = [sys.executable, "-m", "daemon.main"]
@@ -46,15 +47,20 @@ class Site:
     def configure(self, more: str = "") -> None:
         self.config.write_text(SITE + more)
 
-    def command(self, *more: str) -> list[str]:
-        return [*DCAMD, "--config", str(self.config), "--state", str(self.state), *more]
+    def where(self) -> tuple[str, ...]:
+        return "--config", str(self.config), "--state", str(self.state)
 
     def environ(self) -> dict[str, str]:
         return os.environ | {"NOTIFY_SOCKET": self.address}
 
-    def run(self, *more: str, before: tuple[str, ...] = ()) -> subprocess.CompletedProcess[str]:
+    def run(self, *more: str) -> subprocess.CompletedProcess[str]:
+        environ = os.environ | {"NOTIFY_SOCKET": ""}
+        return ran("daemon.main", *self.where(), *more, env=environ)
+
+    def run_below(self, before: tuple[str, ...], *more: str) -> subprocess.CompletedProcess[str]:
+        """As the child of another program, and so with a Python that loads all by itself."""
         return subprocess.run(
-            [*before, *self.command(*more)],
+            [*before, *DCAMD, *self.where(), *more],
             cwd=ROOT,
             env=os.environ | {"NOTIFY_SOCKET": ""},
             capture_output=True,
@@ -63,11 +69,8 @@ class Site:
             check=False,
         )
 
-    def start(self, *more: str) -> subprocess.Popen[str]:
-        with self.log.open("a") as log:
-            return subprocess.Popen(
-                self.command(*more), cwd=ROOT, env=self.environ(), stderr=log, text=True
-            )
+    def start(self, *more: str) -> Program:
+        return Program("daemon.main", *self.where(), *more, env=self.environ(), stderr=self.log)
 
     def notified(self, pattern: str) -> str:
         """Wait until dcamd says something to its service manager."""
@@ -220,13 +223,9 @@ def test_the_boot_that_systemd_names_tells_a_cut_from_a_crash(
 def run_on_small_disk(site: Site, slots: int) -> subprocess.CompletedProcess[str]:
     """On a disk of 1.5 MB, so real ENOSPC."""
     site.state.mkdir()
-    result = site.run(
-        *("--max-slots", str(slots)),
-        before=(
-            *("unshare", "-Urm", "sh", "-c"),
-            'mount -t tmpfs -o size=1500k tmpfs "$0" || exit 77; exec "$@"',
-            str(site.state),
-        ),
+    disk = 'mount -t tmpfs -o size=1500k tmpfs "$0" || exit 77; exec "$@"'
+    result = site.run_below(
+        ("unshare", "-Urm", "sh", "-c", disk, str(site.state)), "--max-slots", str(slots)
     )
     if result.returncode == 77 or "unshare" in result.stderr:
         pytest.skip(f"no mount without root here: {result.stderr.strip()}")
@@ -283,24 +282,32 @@ STEPS = {
 """The syncs of a slot by the file they are of; a kill arrives as the call is entered."""
 
 
+def slot_under_strace(site: Site, *options: str) -> int:
+    """How a dcamd of one slot ends, with strace attached from its beginning."""
+    if not shutil.which("strace"):
+        pytest.skip("strace is not installed")
+    with Program(
+        "daemon.main", *site.where(), "--max-slots", "1", stderr=site.log, stopped=True
+    ) as program:
+        command = ["strace", "-f", *options, "-p", str(program.pid)]
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as strace:
+            said = strace.stderr.readline()
+            program.send_signal(signal.SIGCONT)
+            code = program.wait(PATIENCE_S)
+    if "attached" not in said:
+        pytest.skip(f"strace may not trace here: {said}")
+    return code
+
+
 @pytest.fixture(scope="module")
 def syncs(after_two_slots: Path, tmp_path_factory: pytest.TempPathFactory) -> list[tuple[str, str]]:
     """Call and path of each sync of the third slot's dcamd, in order, as strace saw them."""
-    if not shutil.which("strace"):
-        pytest.skip("strace is not installed")
     with closing(Site(tmp_path_factory.mktemp("syncs"))) as site:
         site.configure()
         shutil.copytree(after_two_slots, site.state)
         trace = site.state / "trace"
-        traced = site.run(
-            *("--max-slots", "1"),
-            before=(
-                *("strace", "-f", "-y", "-qq", "-o", str(trace)),
-                *("-e", "trace=fsync,fdatasync"),
-            ),
-        )
-    if traced.returncode:
-        pytest.skip(f"strace cannot trace here: {traced.stderr.splitlines()[-1]}")
+        code = slot_under_strace(site, "-y", "-o", str(trace), "-e", "trace=fsync,fdatasync")
+    assert code == 0
     found = re.findall(r"(fsync|fdatasync)\(\d+<([^>]*)>", trace.read_text())
     assert found
     return found
@@ -319,16 +326,10 @@ def test_killed_at_a_write_every_slot_is_accounted_for(
     call = syncs[at][0]
     when = [name for name, _ in syncs[: at + 1]].count(call)
 
-    killed = site.run(
-        *("--max-slots", "1"),
-        before=(
-            *("strace", "-f", "-qq", "-o", "/dev/null"),
-            *("-e", f"trace={call}", "-e", f"inject={call}:signal=KILL:when={when}"),
-        ),
-    )
+    what = ("-e", f"trace={call}", "-e", f"inject={call}:signal=KILL:when={when}")
+    assert slot_under_strace(site, "-o", "/dev/null", *what) == -signal.SIGKILL
 
-    assert killed.returncode in {-signal.SIGKILL, 128 + signal.SIGKILL}
-    acknowledged = site.acknowledged(killed.stderr)
+    acknowledged = site.acknowledged(site.log.read_text())
     assert acknowledged == set()
     site.configure("[simulation]\nclock_start_utc = 2026-03-01T00:10:30Z\n")
     again = site.run("--max-slots", "1")

@@ -3,8 +3,6 @@
 import csv
 import os
 import sqlite3
-import subprocess
-import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -16,9 +14,8 @@ from daemon.store.database import open_store
 from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
 from drivers.sim.settings import SimSettings
 from tests.laboratory import laboratory
-from tests.waiting import PATIENCE_S
+from tests.programs import ran
 
-ROOT = Path(__file__).parents[3]
 SITE = (
     laboratory(480, "replay", square_mm=4.0)
     + """
@@ -33,16 +30,8 @@ VALUES = ("x_mm", "y_mm", "raw_x_mm", "raw_y_mm", "rx_rad", "ry_rad", "rz_rad", 
 
 
 def call(program: str, directory: Path, *arguments: str) -> str:
-    result = subprocess.run(
-        [sys.executable, "-m", program, *arguments],
-        cwd=ROOT,
-        env=os.environ
-        | {"DCAM_CONFIG": str(directory / "dcam.toml"), "DCAM_STATE": str(directory / "state")},
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    site = {"DCAM_CONFIG": str(directory / "dcam.toml"), "DCAM_STATE": str(directory / "state")}
+    result = ran(program, *arguments, env=os.environ | site)
     assert result.returncode == 0, result.stderr
     return result.stdout
 

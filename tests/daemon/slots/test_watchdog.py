@@ -13,6 +13,7 @@ import pytest
 
 from daemon.control.run_state import read_run_state
 from tests.daemon.slots.test_dcamd import MARCH, REAL_TIME, ROOT, Site
+from tests.programs import Program, ran
 from tests.waiting import PATIENCE_S
 
 HANGS_AT_ITS_SECOND_SLOT = """
@@ -52,7 +53,7 @@ def site(tmp_path: Path):
         yield site
 
 
-def heard(site: Site, process: subprocess.Popen) -> list[str]:
+def heard(site: Site, process: Program) -> list[str]:
     """All that dcamd sent to its service manager until it ended."""
     said = []
     while not said or said[-1] != "STOPPING=1":
@@ -90,7 +91,7 @@ def test_a_slot_that_hangs_feeds_nothing_and_its_pair_is_measured_after_the_abor
     environ = site.environ() | {"WATCHDOG_USEC": "100000"}  # a timer would feed twenty times
     with site.log.open("w") as log:
         process = subprocess.Popen(
-            [sys.executable, "-c", HANGS_AT_ITS_SECOND_SLOT, *site.command()[3:]],
+            [sys.executable, "-c", HANGS_AT_ITS_SECOND_SLOT, *site.where()],
             cwd=ROOT,
             env=environ,
             stdout=subprocess.PIPE,
@@ -118,30 +119,22 @@ def test_a_slot_that_hangs_feeds_nothing_and_its_pair_is_measured_after_the_abor
 
 def test_a_library_that_hangs_at_the_end_cannot_keep_the_process(site: Site) -> None:
     """It holds even the interpreter's lock, so that nothing of Python runs any more."""
-    ran = subprocess.run(
-        [sys.executable, "-c", HANGS_WHEN_IT_CLOSES, *site.command("--max-slots", "1")[3:]],
+    done = subprocess.run(
+        [sys.executable, "-c", HANGS_WHEN_IT_CLOSES, *site.where(), "--max-slots", "1"],
         cwd=ROOT,
         capture_output=True,
         text=True,
         timeout=PATIENCE_S,
         check=False,
     )
-    assert ran.returncode == 1
-    assert "Timeout (0:00:00" in ran.stderr
+    assert done.returncode == 1
+    assert "Timeout (0:00:00" in done.stderr
     with site.store() as store:
         assert store.measured_slots() == {MARCH}
 
 
 def status(site: Site) -> dict:
-    ran = subprocess.run(
-        [sys.executable, "-m", "daemon.ctl", *site.command()[3:], "status", "--json"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-    return json.loads(ran.stdout)
+    return json.loads(ran("daemon.ctl", *site.where(), "status", "--json").stdout)
 
 
 def test_status_tells_what_dcamd_says_until_it_is_killed(site: Site) -> None:
@@ -168,9 +161,9 @@ def test_status_tells_what_dcamd_says_until_it_is_killed(site: Site) -> None:
 
 def test_a_state_file_that_cannot_be_written_is_reported_once_and_costs_no_slot(site: Site) -> None:
     (site.state / "state.json").mkdir(parents=True)
-    ran = site.run("--max-slots", "3")
-    assert ran.returncode == 0
-    assert ran.stderr.count("event=state_not_written") == 1
+    done = site.run("--max-slots", "3")
+    assert done.returncode == 0
+    assert done.stderr.count("event=state_not_written") == 1
     with site.store() as store:
         assert store.measured_slots() >= {MARCH}
         assert len(store.measured_slots()) == 3

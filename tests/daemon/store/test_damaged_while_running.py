@@ -3,8 +3,6 @@
 import re
 import shutil
 import sqlite3
-import subprocess
-import sys
 from contextlib import closing
 from datetime import timedelta
 from pathlib import Path
@@ -15,11 +13,10 @@ from daemon.errors import DatabaseDamagedError
 from daemon.store.damage_note import databases_set_aside
 from daemon.store.database import open_store
 from daemon.store.records import GapCause
-from tests.daemon.slots.test_dcamd import MARCH, REAL_TIME, ROOT, Site, state_after, unaccounted
+from tests.daemon.slots.test_dcamd import MARCH, REAL_TIME, Site, state_after, unaccounted
 from tests.daemon.store.examples import calibration
+from tests.programs import ran
 from tests.waiting import PATIENCE_S
-
-CTL = [sys.executable, "-m", "daemon.ctl"]
 
 SMALL_DISK = """
 mount -t tmpfs -o size=200k tmpfs "$0" && cp "$1"/dcam.db "$0" || exit 77
@@ -177,8 +174,7 @@ def test_a_missing_database_is_damage_where_it_has_left_traces(
         shutil.rmtree(site.state / "frames")
     (site.state / "dcam.db").unlink()
 
-    asked = [*CTL, "status", *site.command()[3:]]
-    status = subprocess.run(asked, cwd=ROOT, capture_output=True, check=False)
+    status = ran("daemon.ctl", "status", *site.where())
     result = site.run("--max-slots", "1")
 
     assert status.returncode >= 2
@@ -210,13 +206,9 @@ def test_a_disk_without_room_for_the_saved_rows_is_reported(
     shutil.copytree(after_four_slots, site.state)
     change(site, "UPDATE measurement SET discs_found = 99 WHERE id = 2")
     shutil.copytree(site.state, site.state.parent / "damaged")
-    result = site.run(
-        *("--max-slots", "1"),
-        before=(
-            *("unshare", "-Urm", "sh", "-c"),
-            SMALL_DISK,
-            *(str(site.state), str(site.state.parent / "damaged")),
-        ),
+    places = (str(site.state), str(site.state.parent / "damaged"))
+    result = site.run_below(
+        ("unshare", "-Urm", "sh", "-c", SMALL_DISK, *places), "--max-slots", "1"
     )
     if result.returncode == 77 or "unshare" in result.stderr:
         pytest.skip(f"no mount without root here: {result.stderr.strip()}")

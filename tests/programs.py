@@ -1,0 +1,157 @@
+"""Our programs, each a process of its own, forked from one that has loaded the libraries.
+
+To load them takes two seconds, and what is asked of a program here is what it does after that.
+Tests of the start itself (what is loaded, options of Python, another user, strace) start Python.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import runpy
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from functools import cache
+from multiprocessing.connection import wait
+from multiprocessing.context import ForkServerContext
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import TracebackType
+from typing import Self
+
+from tests.waiting import PATIENCE_S, wait_for
+
+ROOT = Path(__file__).parents[1]
+
+
+class Program:
+    """A program that runs; its methods are those of `subprocess.Popen`."""
+
+    def __init__(
+        self,
+        module: str,
+        *arguments: object,
+        env: Mapping[str, str] | None = None,
+        stdout: Path | None = None,
+        stderr: Path | None = None,
+        stopped: bool = False,
+    ) -> None:
+        """Start it as `python -m MODULE ARGUMENTS` would be; output is added to files, or lost.
+
+        One that is stopped begins when it gets SIGCONT: until then a tracer can attach.
+        """
+        for path in (stdout, stderr):
+            if path is not None:
+                path.touch()  # whoever waits for what it says may look at once
+        self.args = [module, *map(str, arguments)]
+        self._process = _server().Process(
+            target=_be,
+            args=(self.args, dict(os.environ if env is None else env), stdout, stderr, stopped),
+            daemon=True,  # none outlives the tests
+        )
+        self._process.start()
+        if stopped:
+            wait_for(lambda: _state(self.pid) == "T", "the program to stop")
+
+    @property
+    def pid(self) -> int:
+        number = self._process.pid
+        assert number is not None
+        return number
+
+    @property
+    def returncode(self) -> int | None:
+        return self._process.exitcode
+
+    def poll(self) -> int | None:
+        return self.returncode
+
+    def wait(self, timeout: float = PATIENCE_S) -> int:
+        if not wait([self._process.sentinel], timeout):
+            raise subprocess.TimeoutExpired(self.args, timeout)
+        self._process.join()
+        code = self.returncode
+        assert code is not None
+        return code
+
+    def send_signal(self, number: int) -> None:
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def terminate(self) -> None:
+        self._process.terminate()
+
+    def kill(self) -> None:
+        self._process.kill()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.wait()
+
+
+def ran(
+    module: str,
+    *arguments: object,
+    env: Mapping[str, str] | None = None,
+    timeout: float = PATIENCE_S,
+) -> subprocess.CompletedProcess[str]:
+    """Run a program to its end, and give what it said."""
+    with TemporaryDirectory() as directory:
+        stdout, stderr = Path(directory) / "stdout", Path(directory) / "stderr"
+        program = Program(module, *arguments, env=env, stdout=stdout, stderr=stderr)
+        try:
+            code = program.wait(timeout)
+        finally:
+            program.kill()
+        return subprocess.CompletedProcess(
+            program.args, code, stdout.read_text(), stderr.read_text()
+        )
+
+
+def _state(pid: int) -> str:
+    """Of a process, as ps tells it."""
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2][0]
+
+
+@cache
+def _server() -> ForkServerContext:
+    """The process that has loaded everything, one for each process of the tests."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["tests.loaded"])
+    return context
+
+
+def _be(
+    words: list[str],
+    environment: dict[str, str],
+    stdout: Path | None,
+    stderr: Path | None,
+    stopped: bool,
+) -> None:
+    """Become the program: in a fresh fork, with output, environment and folder of its own."""
+    for stream, path in ((1, stdout), (2, stderr)):
+        place = os.open(
+            path or os.devnull, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644
+        )
+        os.dup2(place, stream)
+        os.close(place)
+    sys.stdout = open(1, "w", closefd=False)  # noqa: SIM115 - as Python itself opens them
+    sys.stderr = open(2, "w", buffering=1, errors="backslashreplace", closefd=False)  # noqa: SIM115
+    os.environ.clear()
+    os.environ.update(environment)
+    time.tzset()
+    os.chdir(ROOT)
+    sys.argv = words
+    if stopped:
+        os.kill(os.getpid(), signal.SIGSTOP)
+    runpy.run_module(words[0], run_name="__main__", alter_sys=True)
