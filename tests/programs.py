@@ -6,25 +6,32 @@ Tests of the start itself (what is loaded, options of Python, another user, stra
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
 import os
 import runpy
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Mapping
 from functools import cache
-from multiprocessing.connection import wait
+from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
+from subprocess import PIPE
 from tempfile import TemporaryDirectory
 from types import TracebackType
-from typing import Self
+from typing import Self, TextIO
 
 from tests.waiting import PATIENCE_S, wait_for
 
 ROOT = Path(__file__).parents[1]
+
+
+Stream = Path | int | None
+"""A file that output is added to, PIPE for a pipe to the test, or None: it is lost."""
 
 
 class Program:
@@ -35,26 +42,35 @@ class Program:
         module: str,
         *arguments: object,
         env: Mapping[str, str] | None = None,
-        stdout: Path | None = None,
-        stderr: Path | None = None,
+        stdin: int | None = None,
+        stdout: Stream = None,
+        stderr: Stream = None,
         stopped: bool = False,
     ) -> None:
-        """Start it as `python -m MODULE ARGUMENTS` would be; output is added to files, or lost.
+        """Start it as `python -m MODULE ARGUMENTS` would be.
 
         One that is stopped begins when it gets SIGCONT: until then a tracer can attach.
         """
-        for path in (stdout, stderr):
-            if path is not None:
-                path.touch()  # whoever waits for what it says may look at once
         self.args = [module, *map(str, arguments)]
+        self.stdin, its_in = _pipe_to() if stdin == PIPE else (None, None)
+        self.stdout, its_out = _pipe_from(stdout)
+        self.stderr, its_err = _pipe_from(stderr)
+        streams = (its_in, its_out, its_err)
+        network = Path(f"/proc/{os.getpid()}/task/{threading.get_native_id()}/ns/net")
         self._process = _server().Process(
             target=_be,
-            args=(self.args, dict(os.environ if env is None else env), stdout, stderr, stopped),
+            args=(self.args, dict(os.environ if env is None else env), streams, network, stopped),
             daemon=True,  # none outlives the tests
         )
         self._process.start()
+        for end in streams:
+            if isinstance(end, Connection):
+                end.close()
         if stopped:
-            wait_for(lambda: _state(self.pid) == "T", "the program to stop")
+            self.wait_until_stopped()
+
+    def wait_until_stopped(self) -> None:
+        wait_for(lambda: _state(self.pid) == "T", "the program to stop")
 
     @property
     def pid(self) -> int:
@@ -96,6 +112,9 @@ class Program:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        for stream in (self.stdin, self.stdout, self.stderr):
+            if stream is not None:
+                stream.close()
         self.wait()
 
 
@@ -131,21 +150,43 @@ def _server() -> ForkServerContext:
     return context
 
 
+def _pipe_to() -> tuple[TextIO, Connection]:
+    """A pipe to a program: our end, and its."""
+    its, ours = os.pipe()
+    return os.fdopen(ours, "w"), Connection(its, writable=False)
+
+
+def _pipe_from(stream: Stream) -> tuple[TextIO | None, Path | Connection | None]:
+    """A pipe from a program, if one is asked for: our end, and its."""
+    if isinstance(stream, int):
+        ours, its = os.pipe()
+        return os.fdopen(ours, "r"), Connection(its, readable=False)
+    if stream is not None:
+        stream.touch()  # whoever waits for what it says may look at once
+    return None, stream
+
+
 def _be(
     words: list[str],
     environment: dict[str, str],
-    stdout: Path | None,
-    stderr: Path | None,
+    streams: tuple[Path | Connection | None, ...],
+    network: Path,
     stopped: bool,
 ) -> None:
-    """Become the program: in a fresh fork, with output, environment and folder of its own."""
-    for stream, path in ((1, stdout), (2, stderr)):
-        place = os.open(
-            path or os.devnull, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644
-        )
-        os.dup2(place, stream)
+    """Become the program: in a fresh fork, with the output, environment and network of a test."""
+    if network.readlink() != Path("/proc/self/ns/net").readlink():
+        with network.open() as namespace:
+            assert ctypes.CDLL(None).setns(namespace.fileno(), 0) == 0
+    for number, stream in enumerate(streams):
+        if isinstance(stream, Connection):
+            os.dup2(stream.fileno(), number)
+            stream.close()
+            continue
+        place = os.open(stream or os.devnull, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+        os.dup2(place, number)
         os.close(place)
-    sys.stdout = open(1, "w", closefd=False)  # noqa: SIM115 - as Python itself opens them
+    sys.stdin = open(0, closefd=False)  # noqa: SIM115 - as Python itself opens them
+    sys.stdout = open(1, "w", closefd=False)  # noqa: SIM115
     sys.stderr = open(2, "w", buffering=1, errors="backslashreplace", closefd=False)  # noqa: SIM115
     os.environ.clear()
     os.environ.update(environment)

@@ -10,7 +10,7 @@ PATIENCE_S = 300.0
 LOOK_EVERY_S = 0.01
 
 
-def wait_for(condition: Callable[[], bool], what: str) -> None:
+def wait_for(condition: Callable[[], object], what: str) -> None:
     """Look again and again until the condition holds; AssertionError if it never does."""
     give_up_s = time.monotonic() + PATIENCE_S
     while not condition():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -16,6 +17,7 @@ from tests.crash.disk import Cut, Disk, Operation, Tree, put
 from tests.crash.lossy_fs import LossyMount
 from tests.crash.promises import Finished, Promises, broken, read_database
 from tests.crash.station import heard
+from tests.exhaustive import one_of
 
 STATE = "state"
 """The state directory of every run, within the run's own directory."""
@@ -23,8 +25,10 @@ BEGIN = "begin"
 """The mark before which everything is safe; other marks are numbers of promises."""
 
 ABSENCE = timedelta(seconds=200)
+ONE_OF = one_of(4)
+"""Of so many states in a row that are alike, one is tried."""
 AGAIN = 4
-"""Each so many of the states are recovered a second time."""
+"""Each so many of those are recovered a second time."""
 
 _numbers = itertools.count(1)
 
@@ -117,10 +121,12 @@ def record(
 def cut_states(recording: Recording, cuts: Sequence[Cut] = tuple(Cut)) -> Iterator[CutState]:
     """The states that the power could be cut in, in order, each but once with one promise.
 
-    What is safe is looked at after every operation; what is there by chance, after every tenth.
+    What is safe is looked at after every operation; what is there by chance, after every tenth. Of
+    the states of one kind of cut below one promise, the first is chosen, and some of the others.
     """
     disk, promised, begun = Disk(), recording.promises[0], False
     seen: set[tuple[int, int]] = set()
+    alike: Counter[tuple[Cut, int]] = Counter()
     for number, operation in enumerate(recording.log):
         disk.do(operation)
         if operation.kind == "mark" and operation.name == BEGIN:
@@ -134,7 +140,10 @@ def cut_states(recording: Recording, cuts: Sequence[Cut] = tuple(Cut)) -> Iterat
                 tree = _within(disk.left_by(cut, number), f"{recording.directory}/")
                 key = hash(tuple(tree.items())), id(promised)
                 if key not in seen:
-                    yield CutState(tree, promised, number, cut)
+                    kind = cut, id(promised)
+                    if alike[kind] % ONE_OF == 0:
+                        yield CutState(tree, promised, number, cut)
+                    alike[kind] += 1
                 seen.add(key)
 
 

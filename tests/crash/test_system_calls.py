@@ -17,6 +17,7 @@ import pytest
 from daemon.store.sqlite import FILE_NAME
 from tests.crash.interrupted import CALLS, SLOTS
 from tests.crash.promises import Finished, Promises, broken, read_database
+from tests.exhaustive import one_of
 
 TOP = Path(__file__).parents[2]
 END = SLOTS[-1] + timedelta(seconds=200)
@@ -106,12 +107,12 @@ def reference(undisturbed: InterruptedRun) -> Finished:
     return read_database(undisturbed.state / FILE_NAME)
 
 
-def every_call(undisturbed: InterruptedRun, how: str, calls: Sequence[str]) -> list[str]:
-    """An injection at each call of these kinds that the undisturbed run made."""
+def calls_of(undisturbed: InterruptedRun, how: str, calls: Sequence[str]) -> list[str]:
+    """An injection at calls of each of these kinds that the undisturbed run made."""
     return [
         f"{call}:{how}:when={number}"
         for call in calls
-        for number in range(1, undisturbed.calls[call] + 1)
+        for number in range(1, undisturbed.calls[call] + 1, one_of(3))
     ]
 
 
@@ -131,7 +132,7 @@ def test_killed_at_each_call_nothing_acknowledged_is_lost(
     tally: Callable[[str], None],
 ) -> None:
     found = []
-    runs = interrupter.run(every_call(undisturbed, *INJECTIONS["killed"]))
+    runs = interrupter.run(calls_of(undisturbed, *INJECTIONS["killed"]))
     for run in runs:
         assert run.exit == -9, run
         promised = Promises(
@@ -151,7 +152,7 @@ def test_refused_each_call_it_goes_on_and_accounts_for_every_slot(
     interrupter: Interrupter, undisturbed: InterruptedRun, error: str, tally: Callable[[str], None]
 ) -> None:
     found = []
-    runs = interrupter.run(every_call(undisturbed, *INJECTIONS[error]))
+    runs = interrupter.run(calls_of(undisturbed, *INJECTIONS[error]))
     for run in runs:
         why = went_on(run)
         why += broken(run.state, *promised_by(run, undisturbed), END, twice=False)

@@ -67,7 +67,7 @@ class Trouble:
         draw = self._random
         self._left = draw.choice([1, 1, 1, 2, 4])
         kind = draw.choice([*ERRORS, *GARBAGE, "lost", "lost", "hang", "hang", "hang", "stale"])
-        if kind == "hang" and draw.random() < 0.03:
+        if kind == "hang" and draw.random() < 0.08:
             self._left = FOR_EVER
             self.kinds.add("hang for ever")
         at = draw.choice(CALLS) if kind in ERRORS or kind == "hang" else "fetch"

@@ -1,13 +1,10 @@
 """`calibrate --pan-tilt` killed at ten moments, one after the other: then it ends well."""
 
-import os
 import random
 import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from subprocess import PIPE
 
 from benchmarks.soak_history import SITE
 from daemon.store.database import open_store_readonly
@@ -34,29 +31,22 @@ def files_below(state: Path) -> int:
     return sum(1 for _ in state.glob("calibrations/*/*.png"))
 
 
-@contextmanager
-def calibrating(directory: Path) -> Iterator[tuple[Program, BinaryIO]]:
-    """The program, and a pipe from what it and its guard say."""
-    pipe = directory / "said"
-    os.mkfifo(pipe)
+def start(directory: Path) -> Program:
     where = ("--config", directory / "dcam.toml", "--state", directory / "state")
-    program = Program("daemon.ctl", *where, "calibrate", "--pan-tilt", "--accept", stderr=pipe)
-    with program, pipe.open("rb") as said:
-        yield program, said
-    pipe.unlink()
+    return Program("daemon.ctl", *where, "calibrate", "--pan-tilt", "--accept", stderr=PIPE)
 
 
-def killed_after(directory: Path, files: int) -> bytes:
+def killed_after(directory: Path, files: int) -> str:
     """Kill it when so many new images are there, or just before; give what was said at the end."""
     begun = files_below(directory / "state")
-    with calibrating(directory) as (program, pipe):
+    with start(directory) as program:
         end_s = time.monotonic() + PATIENCE_S
         while files_below(directory / "state") < begun + files and program.poll() is None:
             assert time.monotonic() < end_s
             time.sleep(0.002)
-        assert program.poll() is None, pipe.read()
+        assert program.poll() is None, program.stderr.read()
         program.kill()
-        said = pipe.read()  # the guard has the other end of it: it has done its work
+        said = program.stderr.read()  # the guard has the other end of it: it has done its work
     assert program.returncode == -signal.SIGKILL
     return said
 
@@ -72,17 +62,17 @@ def test_ten_kills(tmp_path: Path) -> None:
         for kill in range(KILLS):
             # The second one is when it has its zero: from then on a session can be taken up.
             files = draw.randint(0, 4) + (REFERENCE_FILES if kill == 1 else 0)
-            halted += b"the head was halted" in killed_after(tmp_path, files)
+            halted += "the head was halted" in killed_after(tmp_path, files)
             stopped = ask()
             assert [ask() for _ in range(20)] == [stopped] * 20
             if (state / "dcam.db").exists():
                 with open_store_readonly(state) as store:
                     assert store.active_calibration() is None
         kept = files_below(state)
-        with calibrating(tmp_path) as (program, pipe):
-            said = pipe.read()
+        with start(tmp_path) as program:
+            said = program.stderr.read()
         assert program.returncode == 0, said
-        assert b"continuing" in said
+        assert "continuing" in said
     assert halted > 0
     with open_store_readonly(state) as store:
         assert [record.id for record in store.calibrations()] == [1]

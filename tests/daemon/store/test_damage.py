@@ -31,6 +31,7 @@ from tests.daemon.store.examples import (
     record,
     slot,
 )
+from tests.exhaustive import one_of
 
 ROWS = 120
 BIG = {"method": "rigid", "numbers": list(range(3000))}
@@ -125,6 +126,7 @@ def test_a_hundred_random_places(
     true = rows_of(sound / "dcam.db")
     rng = random.Random(5)
     counted = dict.fromkeys(("kept", "lost", "wrong", "changed", "unnoticed"), 0)
+    places //= one_of(3)
     for place in range(places):
         state = tmp_path / str(place)
         state.mkdir()

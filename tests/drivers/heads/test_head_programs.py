@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import os
-import select
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
+from subprocess import PIPE
 
 import numpy as np
 import pytest
 
+from benchmarks.soak_history import SITE
 from daemon.ctl import cli
 from daemon.error_report import run
 from daemon.store.database import open_store_readonly
@@ -25,24 +24,17 @@ from drivers.sim.cameras import SimulatedCamera
 from drivers.sim.head_angles import AnglesAsker
 from drivers.sim.settings import SimSettings
 from drivers.sim.world import World
-from tests.daemon.commands.conftest import SIMULATED
 from tests.drivers.sim.rigs import site
+from tests.programs import Program
 from tests.waiting import PATIENCE_S, wait_for
-
-ROOT = Path(__file__).parents[3]
 
 
 @contextmanager
-def simulated_head(directory: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
+def simulated_head(directory: Path, *options: str) -> Iterator[Program]:
     """`dcam-ctl simulate head`, its port linked as `head` in the directory."""
-    command = [
-        *(sys.executable, "-m", "daemon.ctl", "simulate", "head", *options),
-        *("--link", str(directory / "head"), "--angles", str(directory / "angles")),
-    ]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
+    places = ("--link", directory / "head", "--angles", directory / "angles")
+    with Program("daemon.ctl", "simulate", "head", *options, *places, stdout=PIPE) as process:
         try:
-            assert select.select([process.stdout], [], [], 3 * PATIENCE_S)[0], "no port was named"
             assert process.stdout.readline().strip() == str(directory / "head")
             yield process
         finally:
@@ -51,9 +43,11 @@ def simulated_head(directory: Path, *options: str) -> Iterator[subprocess.Popen[
 
 def configured(directory: Path, pan_tilt: str) -> list[str]:
     """A simulated site whose head is at the port; the arguments that name it."""
-    text = SIMULATED.replace("[simulation]", f'[simulation]\nhead_angles = "{directory}/angles"')
     config = directory / "dcam.toml"
-    config.write_text(f'{text}\n[pan_tilt]\nport = "{directory}/head"\n{pan_tilt}\n')
+    simulation = f'[simulation]\nhead_angles = "{directory}/angles"'
+    config.write_text(
+        f'{SITE.read_text()}\n{simulation}\n[pan_tilt]\nport = "{directory}/head"\n{pan_tilt}\n'
+    )
     return ["--config", str(config), "--state", str(directory / "state")]
 
 

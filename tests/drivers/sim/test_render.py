@@ -66,7 +66,7 @@ def _corner_errors(
     index, points, maps = predict_corners(
         true, pose, Board.nominal(target), inner.reshape(-1, 3), image.shape
     )
-    fits = locate_corners(image.astype(np.float32), 65535.0, points, maps)
+    fits = locate_corners(image, 65535.0, points, maps)
     assert fits.usable.all()
     return np.column_stack(np.divmod(index, inner.shape[1])), fits.points_px - points
 
@@ -191,7 +191,7 @@ def test_discs_are_where_they_should_be(shrink: int) -> None:
     greys = np.array([0.73, 0.03, 0.28])
     plate = np.array([-29.0, -25.0, 29.0, 25.0])
     radiance = renderer.lit(renderer.discs(pose, discs, plate, greys), 1.0)
-    image = renderer.expose(radiance, PEDESTAL, np.random.default_rng(0)).astype(np.float32)
+    image = renderer.expose(radiance, PEDESTAL, np.random.default_rng(0))
     turns = np.linspace(0.0, math.tau, 3600, endpoint=False)
     radius_px = 4.0 * camera.focal_px / 11000.0
     centres = []

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import queue
 import signal
-import subprocess
-import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
+from subprocess import PIPE
 from typing import ClassVar, Self
 
+from tests.programs import Program
 from tests.waiting import PATIENCE_S
 
 REPOSITORY = Path(__file__).resolve().parents[4]
@@ -30,7 +29,7 @@ class CameraProcess:
         self.address = address
         self.serial = serial
         self._arguments = [self.place, address, "--serial", serial, *options, *map(str, images)]
-        self._process: subprocess.Popen[str] | None = None
+        self._process: Program | None = None
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._reader: threading.Thread | None = None
         self._sent = threading.Condition()
@@ -40,13 +39,7 @@ class CameraProcess:
 
     def start(self) -> Self:
         """Start and wait until the camera answers."""
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", self.module, *self._arguments],
-            cwd=REPOSITORY,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
+        self._process = Program(self.module, *self._arguments, stdin=PIPE, stdout=PIPE)
         self._reader = threading.Thread(target=self._read, args=(self._process,), daemon=True)
         self._reader.start()
         self._expect("ready")
@@ -82,7 +75,7 @@ class CameraProcess:
         """Make it silent."""
         assert self._process is not None
         self._process.send_signal(signal.SIGSTOP)
-        os.waitid(os.P_PID, self._process.pid, os.WSTOPPED)
+        self._process.wait_until_stopped()
 
     def thaw(self) -> None:
         """Let it go on."""
@@ -102,7 +95,7 @@ class CameraProcess:
             stream.close()
         self._process = None
 
-    def _read(self, process: subprocess.Popen[str]) -> None:
+    def _read(self, process: Program) -> None:
         assert process.stdout is not None
         for line in process.stdout:
             verb, _, rest = line.strip().partition(" ")
