@@ -35,7 +35,7 @@ N_SCENES = 8
 SERIALS = {"main": "15290000", "sub": "15290001"}
 
 CONFIG = (
-    laboratory(720, "aravis")
+    laboratory(320, "aravis", square_mm=8.0)
     + """
 [schedule]
 period_s = 2

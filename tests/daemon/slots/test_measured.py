@@ -17,7 +17,7 @@ from tests.laboratory import laboratory
 from tests.programs import ran
 
 SITE = (
-    laboratory(480, "replay", square_mm=4.0)
+    laboratory(320, "replay", square_mm=8.0)
     + """
 [schedule]
 period_s = 1
@@ -51,7 +51,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("site")
     (directory / "dcam.toml").write_text(SITE)
     config = load_config(directory / "dcam.toml")
-    plan = FrameSetPlan(measure=SLOTS)
+    plan = FrameSetPlan(intrinsics=10, rig=14, measure=SLOTS)
     write_frame_set(directory / "frames", config.site(), SimSettings(), plan)
     call("daemon.ctl", directory, "calibrate", "--from", str(directory / "frames"), "--accept")
     call("daemon.main", directory, "--max-slots", str(SLOTS))

@@ -147,11 +147,10 @@ def test_board_edges_are_where_truth_says(axis: int) -> None:
     if axis == 1:  # the same with x and y exchanged
         image, corners = image.T, corners.transpose(1, 0, 2)[..., ::-1]
     rows, columns = corners.shape[:2]
+    lines = [CubicSpline(corners[:, i, 1], corners[:, i, 0]) for i in range(columns)]
     errors = []
     for v in range(20, image.shape[0] - 20, 7):
-        crossings = [
-            float(CubicSpline(corners[:, i, 1], corners[:, i, 0])(v)) for i in range(columns)
-        ]
+        crossings = [float(line(v)) for line in lines]
         above = np.argmax(corners[:, :, 1] > v, axis=0)
         for i in range(1, columns - 1):
             nearest = np.abs(corners[:, i - 1 : i + 2, 1] - v).min()
