@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager
 from importlib.util import find_spec
+from typing import Any
 
 from daemon.errors import WorkFailedError
 from daemon.reprocessing import cluster
@@ -34,14 +36,32 @@ def seen_slots(
     chosen = _chosen(scheduler, count, tell)
     if chosen == SERIAL:
         yield _read(_seen_here(work, chunks, parts))
-        return
-    with (
-        cluster.local_cluster(cluster.cores())
-        if chosen == LOCAL
-        else cluster.remote_cluster(chosen, tell)
-    ) as client:
-        cluster.check_workers(client, tell)
-        yield _read(cluster.seen_by_workers(client, work, chunks, parts))
+    elif chosen == LOCAL:
+        with cluster.local_cluster(cluster.cores(), tell) as starting:
+            yield _read(_seen_from_the_start(starting, work, chunks, parts, tell))
+    else:
+        with cluster.remote_cluster(chosen, tell) as client:
+            cluster.check_workers(client, tell)
+            yield _read(cluster.seen_by_workers(client, work, chunks, parts))
+
+
+def _seen_from_the_start(
+    starting: Future[Any],
+    work: Work,
+    chunks: Iterator[Chunk],
+    parts: Parts,
+    tell: Callable[[str], None],
+) -> Iterator[bytes]:
+    """Look at chunks here until the workers are up."""
+    here = _seen_here(work, chunks, parts)
+    while not starting.done():
+        content = next(here, None)
+        if content is None:
+            return
+        yield content
+    client = starting.result()
+    cluster.check_workers(client, tell)
+    yield from cluster.seen_by_workers(client, work, chunks, parts)
 
 
 def _chosen(scheduler: str | None, count: int, tell: Callable[[str], None]) -> str:

@@ -60,11 +60,18 @@ def arguments(site: Path, frames: object, output: Path, *more: object) -> list[s
 def test_a_worker_that_is_killed_in_the_middle_changes_no_bit(
     further: Path, ctl: Ctl, tmp_path: Path
 ) -> None:
-    """Its image is a pipe: whoever reads it is in the middle of a chunk, and is killed there."""
+    """Its image is a pipe: whoever reads it is in the middle of a chunk, and is killed there.
+
+    The first image is one, too: the process itself waits for it until workers are there.
+    """
     frames = long_set(further, tmp_path / "long")
     image, aside = frames / "0024_main.png", tmp_path / "aside.png"
+    first = frames / "0000_main.png"
+    shown = first.read_bytes()
     image.rename(aside)
+    first.unlink()
     os.mkfifo(image)
+    os.mkfifo(first)
     two = sorted(os.sched_getaffinity(0))[:2]
     shared, serial = tmp_path / "shared.csv", tmp_path / "serial.csv"
     command = [DCAM_CTL, *arguments(further, frames, shared, "--scheduler", "local")]
@@ -74,6 +81,11 @@ def test_a_worker_that_is_killed_in_the_middle_changes_no_bit(
         text=True,
         preexec_fn=lambda: os.sched_setaffinity(0, two),  # noqa: PLW1509 - it takes no lock
     ) as process:
+        line = process.stderr.readline()
+        while "2 workers have started" not in line:
+            assert line
+            line = process.stderr.readline()
+        first.write_bytes(shown)
         with image.open("wb"):  # returns when a worker opens it
             (worker,) = readers_of(image, process.pid)
             aside.replace(image)
@@ -81,6 +93,8 @@ def test_a_worker_that_is_killed_in_the_middle_changes_no_bit(
             wait_for(lambda: not running_still(worker), "the worker's end")
         _, err = process.communicate()
     assert process.returncode == 0, err
+    first.unlink()
+    first.write_bytes(shown)
     assert ctl(*arguments(further, frames, serial, "--scheduler", "serial")).code == 0
     assert shared.read_bytes() == serial.read_bytes()
     assert len(rows_of(serial)) == LONG
@@ -96,14 +110,19 @@ def running_still(pid: int) -> bool:
 
 
 def readers_of(file: Path, parent: int) -> list[int]:
-    """The children of a process that have a file open."""
-    children = Path(f"/proc/{parent}/task").glob("*/children")
-    pids = [int(pid) for each in children for pid in each.read_text().split()]
+    """The processes that a process has started, and those they have, with a file open."""
     return [
         pid
-        for pid in pids
+        for pid in descendants(parent)
         if any(os.path.realpath(fd) == str(file) for fd in Path(f"/proc/{pid}/fd").iterdir())
     ]
+
+
+def descendants(pid: int) -> list[int]:
+    """The processes that a process has started, those that they have started, and so on."""
+    children = Path(f"/proc/{pid}/task").glob("*/children")
+    pids = [int(child) for each in children for child in each.read_text().split()]
+    return pids + [further for child in pids for further in descendants(child)]
 
 
 @pytest.fixture
@@ -193,7 +212,10 @@ def workers(monkeypatch: pytest.MonkeyPatch) -> Iterator[LocalCluster]:
     monkeypatch.setattr(cluster, "_LOOK_S", 0.1)
     logs = structlog.get_config()
     options = {"processes": False, "dashboard_address": ":0", "silence_logs": logging.CRITICAL}
-    with dask.config.set(cluster._QUIET), LocalCluster(1, threads_per_worker=1, **options) as made:
+    with (
+        dask.config.set(cluster._SETTINGS),
+        LocalCluster(1, threads_per_worker=1, **options) as made,
+    ):
         yield made
     structlog.configure(**logs)
 
