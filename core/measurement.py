@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+from core.arrays import FloatArray
 from core.calibration.calibrate import Calibration
 from core.checkerboard.board import Board
 from core.checkerboard.corners import detect_board
@@ -14,12 +15,12 @@ from core.moment import Moment
 from core.quality.verdicts import flag_of, judge_value
 from core.recognition import find_targets
 from core.results import Diagnostics, Displacement, Flag, Measurement, Reason, TargetMeasurement
-from core.rig.closure import close, closure_of, consistent, is_beyond, joint_shifts
+from core.rig.closure import close, closure_of, consistent, gains_of, is_beyond, joint_shifts
 from core.rig.compensation import Shifts
 from core.rig.learnt import Learnt
 from core.rig.stability import Term, main_scale, stability_terms
 from core.seeing import SeenFurther, SeenPair, not_found, see_pair, usable_image
-from core.site import MAIN, ExtraTarget, Site
+from core.site import MAIN, ExtraTarget, Site, TargetRole
 
 _FIXED_RESIDUAL_PX = 0.05
 """rms of the discs of a fixed target about their common shift, from which it is not believed. As
@@ -164,6 +165,8 @@ class _Together:
     moved: frozenset[str]
     """Fixed targets that are not believed."""
     reasons: tuple[Reason, ...]
+    taken_off: dict[str, dict[str, FloatArray]]
+    """By the fixed target, and by the target that its error is taken off."""
 
 
 def _stability(site: Site, calibration: Calibration, moment: Moment | None) -> tuple[Term, ...]:
@@ -181,7 +184,7 @@ def _together(
     """Take what the fixed targets show off the others."""
     calibrated, terms, distrusted = calibration.calibrated, before.terms, before.distrusted
     if shifts is None:
-        return _Together({}, None, frozenset(), ())
+        return _Together({}, None, frozenset(), (), {})
     joint = joint_shifts(shifts, site, site.main.centre_px, terms)
     common = dict(zip(joint.names, shifts.common, strict=True))
     clean = [
@@ -199,7 +202,12 @@ def _together(
     if closure is not None and terms and is_beyond(closure):
         reasons.append(Reason.CLOSURE_TOO_LARGE)
     not_believed = moved | set(distrusted).intersection(joint.names)
-    return _Together(close(joint, believed), closure, not_believed, tuple(reasons))
+    gains = {name: gains_of(joint, believed, name) for name in joint.names}
+    taken_off = {
+        fixed: {name: gain[fixed] for name, gain in gains.items() if fixed in gain}
+        for fixed in believed
+    }
+    return _Together(close(joint, believed), closure, not_believed, tuple(reasons), taken_off)
 
 
 def _further(
@@ -215,4 +223,5 @@ def _further(
         reasons.append(Reason.FIXED_TARGET_MOVED)
     unique = tuple(dict.fromkeys(reasons))
     flag = flag_of(unique, has_value=corrected is not None)
-    return TargetMeasurement(extra.name, extra.role, flag, unique, corrected, raw)
+    taken_off = together.taken_off.get(extra.name, {}) if extra.role is TargetRole.FIXED else None
+    return TargetMeasurement(extra.name, extra.role, flag, unique, corrected, raw, taken_off)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import Any
@@ -126,6 +127,9 @@ class TargetMeasurement:
     None when flag is BAD or MISSING."""
     raw: Displacement | None
     """The main camera alone; given whenever the target was found."""
+    taken_off: Mapping[str, FloatArray] | None = None
+    """Of a fixed target: (2, 4) by the name of each other one: so much of its shift (mm), turn
+    (rad) and relative change of scale is taken off that one's displacement. None: not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +153,18 @@ class Measurement:
     """What the fixed targets together say of the rig's error; None where none is believed."""
     targets: tuple[TargetMeasurement, ...] = ()
     """The further targets in the main image, in the order of the config."""
+
+
+def gains_for(target: str, targets: Sequence[TargetMeasurement]) -> dict[str, FloatArray] | None:
+    """What of fixed targets' values is taken off a target: (2, 4) by the fixed one's name.
+
+    None where that is not known.
+    """
+    fixed = [one for one in targets if one.role is TargetRole.FIXED]
+    if any(one.taken_off is None for one in fixed if one.corrected is not None):
+        return None
+    taken = {one.name: (one.taken_off or {}).get(target) for one in fixed}
+    return {name: gain for name, gain in taken.items() if gain is not None}
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ pair. Their scatter shows it; their mean suffers from it less.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import TypeVar
 
@@ -96,7 +96,22 @@ def _combine_target(seen: Sequence[TargetMeasurement]) -> TargetMeasurement:
         reasons=reasons,
         corrected=_mean(values, _weights(values) if len(values) > 1 else None),
         raw=_mean(raws),
+        taken_off=_mean_taken_off([one.taken_off for one in chosen]),
     )
+
+
+def _mean_taken_off(
+    taken_off: Sequence[Mapping[str, FloatArray] | None],
+) -> dict[str, FloatArray] | None:
+    """The mean; nothing was taken off a target that a pair does not name."""
+    known = [one for one in taken_off if one is not None]
+    if len(known) < len(taken_off):
+        return None
+    names = dict.fromkeys(name for one in known for name in one)
+    return {
+        name: np.sum([one[name] for one in known if name in one], axis=0) / len(known)
+        for name in names
+    }
 
 
 def _verdict(pairs: Sequence[Seen]) -> tuple[Sequence[Seen], tuple[Reason, ...]]:

@@ -120,6 +120,18 @@ def close(joint: JointShifts, believed: Collection[str]) -> dict[str, Displaceme
     }
 
 
+def gains_of(joint: JointShifts, believed: Collection[str], name: str) -> dict[str, FloatArray]:
+    """What of the believed fixed targets' values `close` takes off another target's shift.
+
+    (2, 4) by the fixed target's name; none off a fixed one.
+    """
+    if joint.fixed[joint.names.index(name)] or not believed:
+        return {}
+    gain = _gain(joint.covariance, joint.shift_of(name), joint.all_of(believed))
+    taken = [fixed for fixed in joint.names if fixed in believed]
+    return dict(zip(taken, np.split(gain, len(taken), axis=1), strict=True))
+
+
 def _conditional(joint: JointShifts, own: IntArray, given: IntArray) -> Displacement:
     """Values less the error that others (given), which are nothing but error, let expect."""
     rows = np.concatenate([own, given])

@@ -17,6 +17,7 @@ from core.geometry.pose import Pose
 from core.results import Displacement
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.calibrated_target import CalibratedTarget
+from core.rig.reference_errors import Gains
 from core.rig.rigid import Rig
 from core.rig.stability import main_scale
 from core.site import Site
@@ -47,6 +48,16 @@ class _Pair:
 
 
 @dataclass(frozen=True, slots=True)
+class Moved:
+    """How far a target has moved between two references."""
+
+    displacement: Displacement
+    gains: Gains
+    """What is taken off it for a fixed target's shift (mm), turn and scale at the new reference;
+    at the old one the same, with the opposite sign."""
+
+
+@dataclass(frozen=True, slots=True)
 class Travel:
     """How the main camera has moved across its line of sight between two references."""
 
@@ -66,7 +77,7 @@ def travel_by(old: CalibratedSite, motion: Pose, sigma_mm: float) -> Travel | No
 
 def through_fixed_targets(
     old: CalibratedSite, new: CalibratedSite, site: Site, travel: Travel | None = None
-) -> dict[str, Displacement] | None:
+) -> dict[str, Moved] | None:
     """Displacements of the moving targets at the new reference, from where they were at the old.
 
     The main image may have shifted, turned and changed its scale by any amount. The pair may have
@@ -124,7 +135,7 @@ def _solve(
     site: Site,
     focal_px: float,
     travel: Travel,
-) -> dict[str, Displacement]:
+) -> dict[str, Moved]:
     """Least squares: shift, turn, scale, parallax, own shifts of the fixed, and of the moving."""
     everyone = [*fixed, *moving]
     n = 6 + 2 * len(everyone)
@@ -152,8 +163,28 @@ def _solve(
     for k, pair in enumerate(moving, start=len(fixed)):
         own = slice(6 + 2 * k, 8 + 2 * k)
         to_mm = np.linalg.inv(scaled @ pair.B)
-        found[pair.name] = Displacement(to_mm @ state[own], to_mm @ covariance[own, own] @ to_mm.T)
+        displacement = Displacement(to_mm @ state[own], to_mm @ covariance[own, own] @ to_mm.T)
+        by_state = to_mm @ covariance[own]
+        gains = {
+            one.name: _gain(by_state, _model(state, at, one, centre_px, focal_px, near_mm)[1], one)
+            for at, one in enumerate(fixed)
+        }
+        found[pair.name] = Moved(displacement, gains)
     return found
+
+
+def _gain(by_state: FloatArray, jacobian: FloatArray, fixed: _Pair) -> FloatArray:
+    """(2, 4) of `Gains`: how the estimate follows a fixed target's discs, moved together.
+
+    by_state (2, states) is to mm times the rows of the states' covariance.
+    """
+    by_discs = by_state @ jacobian.T / np.repeat(fixed.px2, 2)
+    x, y = (fixed.new_px - fixed.new_px.mean(axis=0)).T
+    ones, nothing = np.ones(len(x)), np.zeros(len(x))
+    shifts = np.stack([np.stack([ones, nothing], axis=1), np.stack([nothing, ones], axis=1)])
+    turn_and_scale = np.stack([np.stack([-y, x], axis=1), np.stack([x, y], axis=1)])
+    together = np.concatenate([np.einsum("km,knc->mnc", fixed.B, shifts), turn_and_scale])
+    return np.asarray(-by_discs @ together.reshape(4, -1).T)
 
 
 def _own_px(pair: _Pair) -> float:

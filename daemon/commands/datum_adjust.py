@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from core.results import Displacement
+from core.rig.reference_places import errors_at_reference
 from daemon.commands.options import Options
 from daemon.commands.output import note, progress
 from daemon.commands.reprocess import chosen_calibration
@@ -58,6 +59,7 @@ def adjusted(
         chosen_calibration(options.config, options.state, number)
         for number in (wanted.earlier_id, wanted.later_id)
     )
+    site = options.config.site()
     near_utc, now_utc = _reference_time(store, later), datetime.now(UTC)
     unlinked = DatumRecord(DatumMethod.ADJUSTED, NOTHING, (), now_utc, near_utc)
     before = links.get(wanted.later_id, unlinked)
@@ -69,7 +71,8 @@ def adjusted(
         steps, words = (*before.steps, step), f"{why}, adjusted"
     else:
         steps, words = _with_rows(before, by_rows, wanted, why)
-    link = replace(before, method=DatumMethod.ADJUSTED, steps=steps, detail=words)
+    errors = before.errors or errors_at_reference(later.calibration.calibrated, site.sub)
+    link = replace(before, method=DatumMethod.ADJUSTED, steps=steps, detail=words, errors=errors)
     return relinked(links, {wanted.later_id: link}, now_utc)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.results import Displacement
-from daemon.datum.candidates import SeenRow
+from daemon.datum.candidates import SeenRow, mean_gains
 from daemon.datum.chain import weighted_mean
 from daemon.datum.movement import movement_sigma_mm
 from daemon.store.records import DatumMethod, DatumStep
@@ -64,7 +64,9 @@ def by_rows_across(
         f"{span_text(lag_s)} apart; the bridge moves by {moving_mm[0]:.3g}, {moving_mm[1]:.3g} mm "
         "in such a time"
     )
-    return Across(DatumStep(DatumMethod.ROWS, earlier_id, main, targets), words)
+    earlier, later = (mean_gains([row.gains for row in side]) for side in zip(*pairs, strict=True))
+    step = DatumStep(DatumMethod.ROWS, earlier_id, main, targets, later, earlier)
+    return Across(step, words)
 
 
 def _quietest_lag(

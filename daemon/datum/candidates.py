@@ -14,11 +14,12 @@ from core.calibration.calibrate import Calibration
 from core.geometry.pose import Pose
 from core.images import GreyImage
 from core.moment import Moment
-from core.results import Displacement, Flag, Measurement, RigMotion
+from core.results import Displacement, Flag, Measurement, RigMotion, gains_for
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.datum import Travel, through_fixed_targets, travel_by
+from core.rig.reference_errors import Gains, ReferenceErrors
 from core.site import MAIN, Site, TargetRole
-from daemon.datum.chain import NOTHING, datum_by
+from daemon.datum.chain import NOTHING, offset_by
 from daemon.datum.movement import movement_sigma_mm
 from daemon.slots.measuring import ActiveCalibration, ImagePair, measure
 from daemon.store.records import DatumMethod, DatumRecord, DatumStep
@@ -72,6 +73,8 @@ class NewReference:
     """When the board was last in somebody's hand, by the lens views."""
     serials: Mapping[Role, str] = field(default_factory=dict)
     """Of the cameras that took it, as far as they are known."""
+    errors: ReferenceErrors | None = None
+    """What the noise of its images does to all that is measured from it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +88,8 @@ class SeenRow:
     targets: tuple[tuple[str, Displacement], ...] = ()
     motion: RigMotion | None = None
     """Since the reference of its calibration."""
+    gains: Mapping[str, Gains] | None = None
+    """By target: what of its fixed targets' values was taken off; None: not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,10 +111,14 @@ class Candidate:
 
 
 def candidate(
-    step: DatumStep, base: DatumRecord | None, words: str, doubts: Sequence[str] = ()
+    step: DatumStep,
+    base: DatumRecord | None,
+    words: str,
+    doubts: Sequence[str] = (),
+    errors: ReferenceErrors | None = None,
 ) -> Candidate:
-    """One answer from one step."""
-    return Candidate(step, datum_by(step, base)[0], words, tuple(doubts))
+    """One answer from one step; errors are those of the new reference."""
+    return Candidate(step, offset_by(step, base, errors).offset, words, tuple(doubts))
 
 
 def by_same_reference(earlier: Known, new: NewReference) -> Candidate | None:
@@ -135,8 +144,10 @@ def by_old_calibration(
     measured = measure([pair], site, known.active)
     if measured.corrected is None:
         return None, f"{words}: {'+'.join(measured.reasons)}"
+    gains = gains_of(measured)
+    targets = dict(measured_targets(measured))
     step = DatumStep(
-        DatumMethod.OLD_CALIBRATION, known.id, measured.corrected, dict(measured_targets(measured))
+        DatumMethod.OLD_CALIBRATION, known.id, measured.corrected, targets, gains, gains
     )
     doubts = [] if measured.flag is Flag.GOOD else [f"the pair is {'+'.join(measured.reasons)}"]
     moved_utc = new.lens_views_utc
@@ -148,7 +159,7 @@ def by_old_calibration(
     doubts += camera_changes(known.serials, new.serials)
     doubts += lens_changes(known.active.calibration.calibrated, new.calibration.calibrated)
     doubts += drift_beyond(measured, site)
-    return candidate(step, known.active.datum, words, doubts), ""
+    return candidate(step, known.active.datum, words, doubts, new.errors), ""
 
 
 def by_fixed_targets(
@@ -164,10 +175,11 @@ def by_fixed_targets(
         return None
     before = {target.name for target in old.further if target.is_fixed}
     names = [target.name for target in now.further if target.is_fixed and target.name in before]
-    targets = {name: offset for name, offset in moved.items() if name != MAIN}
-    step = DatumStep(DatumMethod.FIXED_TARGETS, known.id, moved[MAIN], targets)
+    offsets = {name: one.displacement for name, one in moved.items()}
+    main, gains = offsets.pop(MAIN), {name: one.gains for name, one in moved.items()}
+    step = DatumStep(DatumMethod.FIXED_TARGETS, known.id, main, offsets, gains, gains)
     words = f"through the fixed target{'s' if len(names) > 1 else ''} {', '.join(names)}"
-    return candidate(step, known.active.datum, words)
+    return candidate(step, known.active.datum, words, errors=new.errors)
 
 
 def _travel(known: Known, new: NewReference, site: Site, rows: Sequence[SeenRow]) -> Travel | None:
@@ -191,6 +203,33 @@ def measured_targets(measured: Measurement) -> list[tuple[str, Displacement]]:
         for target in measured.targets
         if target.role is TargetRole.MEASURED and target.corrected is not None
     ]
+
+
+def gains_of(measured: Measurement) -> dict[str, Gains] | None:
+    """What of fixed targets' values was taken off the main target and measured ones, by name.
+
+    None where that is not known.
+    """
+    moving = [one.name for one in measured.targets if one.role is TargetRole.MEASURED]
+    found = {name: gains_for(name, measured.targets) for name in (MAIN, *moving)}
+    known: dict[str, Gains] = {n: gains for n, gains in found.items() if gains is not None}
+    return known if len(known) == len(found) else None
+
+
+def mean_gains(gains: Sequence[Mapping[str, Gains] | None]) -> dict[str, Gains] | None:
+    """The mean of several rows; nothing was taken off where a row does not name a fixed target."""
+    known = [one for one in gains if one is not None]
+    if not known or len(known) < len(gains):
+        return None
+    found: dict[str, Gains] = {}
+    for target in dict.fromkeys(name for one in known for name in one):
+        own = [one[target] for one in known if target in one]
+        names = dict.fromkeys(name for one in own for name in one)
+        found[target] = {
+            name: np.sum([one[name] for one in own if name in one], axis=0) / len(own)
+            for name in names
+        }
+    return found
 
 
 def camera_changes(old: Mapping[Role, str], new: Mapping[Role, str]) -> list[str]:
@@ -258,6 +297,7 @@ def by_rows(
         last.calibration_id,
         _wider(last.displacement, moving_mm2),
         {name: _wider(seen, moving_mm2) for name, seen in last.targets},
+        before=last.gains,
     )
     words = (
         f"by the last good row, {span_text(gap_s)} before ({utc_text(last.slot_utc)}); "

@@ -11,7 +11,8 @@ import numpy as np
 
 from core.errors import CalibrationError
 from core.results import Flag
-from core.site import Site
+from core.rig.reference_places import errors_at_reference
+from core.site import MAIN, Site
 from daemon.datum.candidates import (
     Candidate,
     Known,
@@ -22,10 +23,11 @@ from daemon.datum.candidates import (
     by_rows,
     by_same_reference,
     contradicted,
+    gains_of,
     lost,
     measured_targets,
 )
-from daemon.datum.chain import datum_by, origin, targets_by
+from daemon.datum.chain import offset_by, origin, targets_by
 from daemon.slots.measuring import (
     ActiveCalibration,
     PairFiles,
@@ -73,9 +75,10 @@ def find_zero(
     on_step: OnStep = lambda _: None,
 ) -> Zero:
     """Find where a new reference lies in the record's zero. Raises StoreError."""
+    new = replace(new, errors=errors_at_reference(new.calibration.calibrated, site.sub))
     record = store.active_calibration()
     if record is None or record.id is None:
-        return Zero(origin(created_utc, new.slot_utc), ())
+        return Zero(origin(created_utc, new.slot_utc, new.errors), ())
     datums = {int(link.calibration_id or 0): link for link in store.datum_links()}
     same = _same_reference(store, datums, new)
     if same is not None:
@@ -183,6 +186,7 @@ def stored_rows(store: Store, since_utc: datetime, until_utc: datetime) -> Itera
                 row.calibration_id,
                 tuple(measured_targets(row.measurement)),
                 row.measurement.motion,
+                gains_of(row.measurement),
             )
 
 
@@ -201,7 +205,8 @@ def _measured_rows(
         on_step(f"measured {row.slot_utc:%Y-%m-%d %H:%M}")
         if measured.flag is Flag.GOOD and measured.corrected is not None:
             targets = tuple(measured_targets(measured))
-            yield SeenRow(row.slot_utc, measured.corrected, known.id, targets, measured.motion)
+            motion, gains = measured.motion, gains_of(measured)
+            yield SeenRow(row.slot_utc, measured.corrected, known.id, targets, motion, gains)
 
 
 def _files(directory: Path, row: FrameSetRow) -> PairFiles:
@@ -245,16 +250,20 @@ def _zero(
 ) -> Zero:
     """The link of the chosen answer, and what is said of it and of the others."""
     further = _of_other_targets(chosen, candidates)
-    offset, targets = datum_by(chosen.step, datums.get(chosen.step.from_id or 0))
-    for step in further:
-        targets = {**targets, **targets_by(step, datums.get(step.from_id or 0))}
+    solved = {MAIN: offset_by(chosen.step, datums.get(chosen.step.from_id or 0), new.errors)}
+    for step in (chosen.step, *further):
+        solved |= targets_by(step, datums.get(step.from_id or 0), new.errors)
+    shared = {name: one.shared for name, one in solved.items() if one.shared is not None}
+    offset = solved.pop(MAIN).offset
     link = DatumRecord(
         method=chosen.step.method,
         offset=offset,
         steps=(chosen.step, *further),
         created_utc=created_utc,
         reference_utc=new.slot_utc,
-        targets=targets,
+        targets={name: one.offset for name, one in solved.items()},
+        errors=new.errors,
+        shared=shared,
         detail=chosen.words,
     )
     others = [f"zero: not {one.words}: {'; '.join(one.doubts)}" for one in candidates if one.doubts]

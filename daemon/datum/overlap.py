@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from core.results import Displacement, Flag, Measurement
-from daemon.datum.candidates import measured_targets
+from daemon.datum.candidates import gains_of, mean_gains, measured_targets
 from daemon.datum.chain import weighted_mean
 from daemon.store.records import DatumMethod, DatumStep
 
@@ -38,7 +38,8 @@ def overlap_step(
         pairs = [(a[name], b[name]) for a, b in seen if name in a and name in b]
         if len(pairs) >= FEWEST:
             targets[name] = _mean(_less(a, b) for a, b in pairs)
-    return DatumStep(DatumMethod.ADJUSTED, earlier_id, main, targets), len(both)
+    before, now = (mean_gains([gains_of(one) for one in side]) for side in zip(*both, strict=True))
+    return DatumStep(DatumMethod.ADJUSTED, earlier_id, main, targets, now, before), len(both)
 
 
 def _less(one: Displacement, other: Displacement) -> Displacement:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from core.arrays import FloatArray
 from core.moment import Moment
 from core.results import CalibrationReport, Displacement, Measurement, Reason
+from core.rig.reference_errors import Gains, ReferenceErrors
 
 if TYPE_CHECKING:
     from core.calibration.calibrate import Calibration
@@ -237,6 +238,11 @@ class DatumStep:
     """Of the main target; None where only further targets were observed."""
     targets: Mapping[str, Displacement] = field(default_factory=dict)
     """Of the measured further targets, by name."""
+    now: Mapping[str, Gains] | None = None
+    """By target, where the reference itself was measured: what of its fixed targets' values was
+    taken off. None: it was not, or that is not known."""
+    before: Mapping[str, Gains] | None = None
+    """Likewise of the reference that the step counts from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,6 +265,10 @@ class DatumRecord:
     """None as long as its calibration is not stored."""
     id: int | None = None
     """Given by the database; the newest link of a calibration holds."""
+    errors: ReferenceErrors | None = None
+    """What the noise of the calibration's reference does to all its rows; None: not known."""
+    shared: Mapping[str, FloatArray] = field(default_factory=dict)
+    """(m, 2) by target: covariance of these errors with the target's offset."""
 
 
 class Thinning(StrEnum):

@@ -306,6 +306,9 @@ class DatumRow(Base):
     steps: Mapped[str]
     """JSON: what was observed, from which calibration's reference, and how."""
     detail: Mapped[str]
+    reference_errors: Mapped[str | None]
+    """JSON: what the noise of the reference does to all rows of the calibration, and its covariance
+    with the offset."""
 
 
 class LedgerRow(Base):

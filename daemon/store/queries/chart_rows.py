@@ -20,8 +20,9 @@ from core.arrays import FloatArray
 from core.results import Reason
 from core.site import MAIN
 from daemon.store.integrity.reading import fetch, value
-from daemon.store.records import DatumMethod
-from daemon.store.rows.datum import Datums
+from daemon.store.records import DatumMethod, DatumRecord
+from daemon.store.rows.datum import Datums, common, needs_gains
+from daemon.store.rows.targets import gains_in
 
 POINT_KEYS = ("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm", "raw_x_mm", "raw_y_mm")
 """Of the main target and of each further one."""
@@ -78,7 +79,7 @@ def chart_rows(
 
     Only the wanted quantities, if any are named: to read the others takes time.
     """
-    read = _READ if wanted is None else _needed(wanted)
+    read = _READ if wanted is None else _needed(wanted, datums)
     query = (
         f"SELECT {', '.join(read)} FROM measurement"  # noqa: S608 - our own words
         " WHERE slot_utc >= ? AND slot_utc < ? ORDER BY slot_utc"
@@ -91,7 +92,8 @@ def chart_rows(
     values = _row_values(columns)
     values |= _target_values(columns.get("targets", ()))
     values |= _reading_values(columns.get("readings", ()))
-    _move(values, np.array(columns["calibration_id"], dtype=np.float64), datums)
+    calibrations = np.array(columns["calibration_id"], dtype=np.float64)
+    _move(values, calibrations, columns.get("targets", ()), datums)
     flags = np.array(columns["flag"], np.uint8)
     return ChartRows(
         np.array(columns[_TIME], np.int64),
@@ -111,10 +113,11 @@ def _row_values(columns: Mapping[str, Sequence[Any]]) -> dict[str, FloatArray]:
     }
 
 
-def _needed(wanted: Collection[str]) -> tuple[str, ...]:
-    """The columns that some quantities are made of."""
+def _needed(wanted: Collection[str], datums: Datums) -> tuple[str, ...]:
+    """The columns that some quantities are made of, in the record's zero."""
     keys = {_TEMPERATURES.get(name, name.removesuffix(f".{MAIN}")) for name in wanted}
-    if any("." in key for key in keys):
+    has_sigma = not keys.isdisjoint({"sigma_x_mm", "sigma_y_mm"})
+    if any("." in key for key in keys) or (has_sigma and any(map(needs_gains, datums.values()))):
         keys.add("targets")
     if any(key.startswith("reading_") for key in keys):
         keys.add("readings")
@@ -160,7 +163,12 @@ def _parsed(text: str | None, kind: type) -> Any:
     return found if isinstance(found, kind) else None
 
 
-def _move(values: dict[str, FloatArray], calibrations: FloatArray, datums: Datums) -> None:
+def _move(
+    values: dict[str, FloatArray],
+    calibrations: FloatArray,
+    texts: Sequence[str | None],
+    datums: Datums,
+) -> None:
     """Add the datum of each row's calibration, and its variance."""
     for number, link in datums.items():
         if link.method is DatumMethod.ORIGIN or not (of_it := calibrations == number).any():
@@ -170,10 +178,25 @@ def _move(values: dict[str, FloatArray], calibrations: FloatArray, datums: Datum
                 for prefix in ("", "raw_"):
                     if (column := values.get(f"{prefix}{letter}_mm.{name}")) is not None:
                         column[of_it] += offset.mm[axis]
-                if (column := values.get(f"sigma_{letter}_mm.{name}")) is not None:
-                    column[of_it] = np.hypot(
-                        column[of_it], np.sqrt(offset.covariance_mm2[axis, axis])
-                    )
+            sigmas = [values.get(f"sigma_{letter}_mm.{name}") for letter in "xy"]
+            if any(column is not None for column in sigmas):
+                common_mm2 = _common(link, name, texts, of_it)
+                for axis, column in enumerate(sigmas):
+                    if column is not None:
+                        datum_mm2 = offset.covariance_mm2[axis, axis]
+                        least = (column[of_it] - np.sqrt(datum_mm2)) ** 2
+                        whole = column[of_it] ** 2 + datum_mm2 + common_mm2[:, axis]
+                        column[of_it] = np.sqrt(np.maximum(whole, least))
+
+
+def _common(
+    link: DatumRecord, target: str, texts: Sequence[str | None], of_it: npt.NDArray[np.bool_]
+) -> FloatArray:
+    """(rows, 2) mm^2 that x and y of the rows of a calibration have in common with its datum."""
+    if not needs_gains(link):
+        return np.tile(np.diag(common(link, target, {})), (int(of_it.sum()), 1))
+    seen = (text for text, own in zip(texts, of_it, strict=True) if own)
+    return np.array([np.diag(common(link, target, gains_in(text, target))) for text in seen])
 
 
 def _masks(flags: Sequence[int], reasons: Sequence[str]) -> Masks:

@@ -5,7 +5,6 @@ An alarm looks every minute; nothing here loads SQLAlchemy or reads a column tha
 
 from __future__ import annotations
 
-import math
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -16,10 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from core.results import Flag, Reason
+from core.site import MAIN
 from daemon.store.integrity.reading import fetch
 from daemon.store.ledger.entries import excluded_spans, ledger_entries, span_numbers
 from daemon.store.records import BELIEVED, DatumMethod
-from daemon.store.rows.datum import Datums, read_datums
+from daemon.store.rows.datum import Datums, common, needs_gains, read_datums, sum_sigma_mm
+from daemon.store.rows.targets import gains_in
 from daemon.store.runs import next_second
 from daemon.store.sqlite import connect_readonly, existing_path, said_plainly
 from daemon.times import slot_text
@@ -70,10 +71,10 @@ def point_rows(
     Those that the quality ledger excludes are left out, and are not passed over as untrusted.
     """
     limits = [slot_text(next_second(time)) for time in (since_utc, until_utc)]
-    if target == "main":
+    if target == MAIN:
         query = (
             "SELECT CAST(strftime('%s', slot_utc) AS INTEGER), calibration_id, flag, reasons,"  # noqa: S608 - our own names
-            f" {axis}_mm, sigma_{axis}_mm FROM measurement"
+            f" {axis}_mm, sigma_{axis}_mm, targets FROM measurement"
             f" WHERE slot_utc >= ? AND slot_utc < ? AND {axis}_mm IS NOT NULL ORDER BY slot_utc"
         )
         found = fetch(connection, query, *limits)
@@ -82,7 +83,7 @@ def point_rows(
             "SELECT CAST(strftime('%s', slot_utc) AS INTEGER), calibration_id,"  # noqa: S608
             " json_extract(one.value, '$.flag'), json_extract(one.value, '$.reasons'),"
             f" json_extract(one.value, '$.{axis}_mm'), json_extract(one.value, '$.sigma_{axis}_mm')"
-            " FROM measurement,"
+            ", targets FROM measurement,"
             " json_each(CASE WHEN json_valid(targets) THEN targets ELSE '[]' END) AS one"
             " WHERE slot_utc >= ? AND slot_utc < ? AND json_extract(one.value, '$.name') = ?"
             f" AND json_extract(one.value, '$.{axis}_mm') IS NOT NULL ORDER BY slot_utc"
@@ -124,15 +125,20 @@ def reading_rows(
 
 
 def _row(
-    row: tuple[int, int, int, str, float, float], datums: Datums, target: str, axis: str
+    row: tuple[int, int, int, str, float, float, str | None],
+    datums: Datums,
+    target: str,
+    axis: str,
 ) -> PointRow:
-    time_s, calibration, flag, _, value, sigma = row
+    time_s, calibration, flag, _, value, sigma, seen = row
     index = "xy".index(axis)
     link = datums.get(calibration)
     offset = None
     if link is not None and link.method is not DatumMethod.ORIGIN:
-        offset = link.offset if target == "main" else link.targets.get(target)
-    if offset is not None:
+        offset = link.offset if target == MAIN else link.targets.get(target)
+    if link is not None and offset is not None:
+        gains = gains_in(seen, target) if needs_gains(link) else {}
+        common_mm2 = common(link, target, gains)[index, index]
         value += float(offset.mm[index])
-        sigma = math.sqrt(sigma**2 + float(offset.covariance_mm2[index, index]))
+        sigma = sum_sigma_mm(sigma, offset.covariance_mm2[index, index], common_mm2)
     return PointRow(float(time_s), float(value), float(sigma), flag == Flag.GOOD)

@@ -10,16 +10,19 @@ import json
 import math
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from core.results import Displacement, Measurement, TargetMeasurement
+from core.arrays import FloatArray
+from core.results import Displacement, Measurement, TargetMeasurement, gains_for
+from core.rig.reference_errors import Gains, ReferenceErrors
+from core.site import MAIN
 from daemon.store.integrity.reading import whole_rows
 from daemon.store.records import DatumMethod, DatumRecord, DatumStep
 from daemon.store.rows.convert import stored_time
-from daemon.store.rows.targets import targets_of, targets_text
+from daemon.store.rows.targets import gains_in, targets_of, targets_text
 
 Datums = Mapping[int, DatumRecord]
 """The link that holds of each calibration that has one, by the calibration's number."""
@@ -49,9 +52,10 @@ def in_record_zero(measurement: Measurement, datum: DatumRecord | None) -> Measu
     """A measurement with its calibration's datum and covariance added."""
     if datum is None or datum.method is DatumMethod.ORIGIN:
         return measurement
+    common_mm2 = common(datum, MAIN, gains_for(MAIN, measurement.targets))
     return replace(
         measurement,
-        corrected=moved(measurement.corrected, datum.offset),
+        corrected=moved(measurement.corrected, datum.offset, common_mm2),
         raw=moved(measurement.raw, datum.offset),
         targets=targets_in_record_zero(measurement.targets, datum),
     )
@@ -60,30 +64,70 @@ def in_record_zero(measurement: Measurement, datum: DatumRecord | None) -> Measu
 def targets_in_record_zero(
     targets: Sequence[TargetMeasurement], datum: DatumRecord | None
 ) -> tuple[TargetMeasurement, ...]:
-    """Further targets with their own datums added; a fixed one has none."""
-    return tuple(
-        replace(
-            target,
-            corrected=moved(target.corrected, datum.targets[target.name]),
-            raw=moved(target.raw, datum.targets[target.name]),
-        )
-        if datum is not None and target.name in datum.targets
-        else target
-        for target in targets
-    )
+    """Further targets of a row with their own datums added; a fixed one has none."""
+
+    def in_zero(target: TargetMeasurement) -> TargetMeasurement:
+        if datum is None or target.name not in datum.targets:
+            return target
+        offset = datum.targets[target.name]
+        common_mm2 = common(datum, target.name, gains_for(target.name, targets))
+        corrected = moved(target.corrected, offset, common_mm2)
+        return replace(target, corrected=corrected, raw=moved(target.raw, offset))
+
+    return tuple(map(in_zero, targets))
 
 
-def moved(displacement: Displacement | None, offset: Displacement) -> Displacement | None:
-    """A displacement with an offset and its covariance added; None stays None."""
+def common(datum: DatumRecord, target: str, gains: Gains | None) -> FloatArray:
+    """(2, 2) mm^2: covariance of a row with its datum, both ways; to be added to their sum's.
+
+    The noise of the reference is in both, with opposite signs. gains are what of fixed targets'
+    values was taken off the row; where they are not known, nothing is.
+    """
+    errors, shared = datum.errors, datum.shared.get(target)
+    if errors is None or shared is None or (gains is None and errors.has_fixed):
+        return np.zeros((2, 2))
+    by_errors = errors.by_values(target, gains or {})
+    one_way = np.zeros((2, 2)) if by_errors is None else by_errors @ shared
+    return np.asarray(-one_way - one_way.T)
+
+
+def needs_gains(datum: DatumRecord) -> bool:
+    """Whether the sigma of its rows in the record's zero depends on their fixed targets."""
+    return datum.errors is not None and datum.errors.has_fixed and bool(datum.shared)
+
+
+def moved(
+    displacement: Displacement | None,
+    offset: Displacement,
+    common_mm2: FloatArray | float = 0.0,
+) -> Displacement | None:
+    """A displacement with an offset and its covariance added; None stays None.
+
+    common_mm2 (2, 2) is added for what both have in common.
+    """
     if displacement is None:
         return None
+    whole_mm2 = sum_mm2(displacement.covariance_mm2, offset.covariance_mm2, common_mm2)
+    more_mm2 = whole_mm2 - displacement.covariance_mm2
     shared_mm2 = displacement.shared_mm2
     return replace(
         displacement,
         mm=displacement.mm + offset.mm,
-        covariance_mm2=displacement.covariance_mm2 + offset.covariance_mm2,
-        shared_mm2=None if shared_mm2 is None else shared_mm2 + offset.covariance_mm2,
+        covariance_mm2=whole_mm2,
+        shared_mm2=None if shared_mm2 is None else shared_mm2 + more_mm2,
     )
+
+
+def sum_mm2(
+    row_mm2: FloatArray, datum_mm2: FloatArray, common_mm2: FloatArray | float
+) -> FloatArray:
+    """(2, 2) covariance of a row and its datum together.
+
+    No correlation makes a variance less than the square of the difference of both sigmas.
+    """
+    whole_mm2 = row_mm2 + datum_mm2 + common_mm2
+    least = (np.sqrt(np.diag(row_mm2)) - np.sqrt(np.diag(datum_mm2))) ** 2
+    return np.asarray(whole_mm2 + np.diag(np.maximum(least - np.diag(whole_mm2), 0.0)))
 
 
 def columns_in_record_zero(
@@ -96,14 +140,16 @@ def columns_in_record_zero(
     links = [moving.get(number) for number in columns["calibration_id"]]
     if not any(links):
         return columns
-    offsets = [link.offset if link else None for link in links]
+    added = list(map(_added_to(MAIN), links, columns["targets"]))
     changed: dict[str, Sequence[Any]] = dict(columns)
     for prefix in ("", "raw_"):
         for axis, letter in enumerate(_AXES):
-            changed |= _changed(columns, f"{prefix}{letter}_mm", offsets, _plus(axis))
+            changed |= _changed(columns, f"{prefix}{letter}_mm", added, _plus(axis))
             name = f"{prefix}sigma_{letter}_mm"
-            changed |= _changed(columns, name, offsets, _widened(axis))
-        changed |= _changed(columns, f"{prefix}cov_xy_mm2", offsets, _more_covariance)
+            widened = _widened(axis, has_common=not prefix)
+            changed |= _changed(columns, name, added, widened)
+        more = _more_covariance(has_common=not prefix)
+        changed |= _changed(columns, f"{prefix}cov_xy_mm2", added, more)
     changed["targets"] = [
         _moved_text(text, link) if link is not None and text is not None else text
         for text, link in zip(columns["targets"], links, strict=True)
@@ -111,37 +157,75 @@ def columns_in_record_zero(
     return changed
 
 
+@dataclass(frozen=True, slots=True)
+class Added:
+    """What a row gets of its datum."""
+
+    offset: Displacement
+    common_mm2: FloatArray
+    """(2, 2) as `common` gives it."""
+
+
+def _added_to(target: str) -> Callable[[DatumRecord | None, str | None], Added | None]:
+    alike: dict[int, Added] = {}
+
+    def added(link: DatumRecord | None, text: str | None) -> Added | None:
+        if link is None:
+            return None
+        if needs_gains(link):
+            return Added(link.offset, common(link, target, gains_in(text, target)))
+        if id(link) not in alike:
+            alike[id(link)] = Added(link.offset, common(link, target, {}))
+        return alike[id(link)]
+
+    return added
+
+
 def _moved_text(text: str, datum: DatumRecord) -> str | None:
     return targets_text(targets_in_record_zero(targets_of(text), datum)) if datum.targets else text
 
 
-_Change = Callable[[float, Displacement], float]
+_Change = Callable[[float, Added], float]
 
 
 def _changed(
     columns: Mapping[str, Sequence[Any]],
     name: str,
-    offsets: Sequence[Displacement | None],
+    added: Sequence[Added | None],
     change: _Change,
 ) -> dict[str, Sequence[Any]]:
     return {
         name: [
-            value if value is None or offset is None else change(value, offset)
-            for value, offset in zip(columns[name], offsets, strict=True)
+            value if value is None or more is None else change(value, more)
+            for value, more in zip(columns[name], added, strict=True)
         ]
     }
 
 
 def _plus(axis: int) -> _Change:
-    return lambda value, offset: float(value + offset.mm[axis])
+    return lambda value, more: float(value + more.offset.mm[axis])
 
 
-def _widened(axis: int) -> _Change:
-    return lambda value, offset: math.sqrt(value**2 + offset.covariance_mm2[axis, axis])
+def _widened(axis: int, *, has_common: bool) -> _Change:
+    def widened(value: float, more: Added) -> float:
+        common_mm2 = more.common_mm2[axis, axis] if has_common else 0.0
+        return sum_sigma_mm(value, more.offset.covariance_mm2[axis, axis], common_mm2)
+
+    return widened
 
 
-def _more_covariance(value: float, offset: Displacement) -> float:
-    return float(value + offset.covariance_mm2[0, 1])
+def sum_sigma_mm(row_mm: float, datum_mm2: float, common_mm2: float) -> float:
+    """1 sigma of a row and its datum together, along one axis; as `sum_mm2`."""
+    least = row_mm - math.sqrt(datum_mm2)
+    return math.sqrt(max(row_mm**2 + datum_mm2 + common_mm2, least**2))
+
+
+def _more_covariance(*, has_common: bool) -> _Change:
+    def more_covariance(value: float, more: Added) -> float:
+        common_mm2 = more.common_mm2[0, 1] if has_common else 0.0
+        return float(value + more.offset.covariance_mm2[0, 1] + common_mm2)
+
+    return more_covariance
 
 
 def datum_columns(record: DatumRecord) -> dict[str, Any]:
@@ -154,7 +238,29 @@ def datum_columns(record: DatumRecord) -> dict[str, Any]:
         "targets": json.dumps(_by_name(record.targets)),
         "steps": json.dumps([_step_fields(step) for step in record.steps]),
         "detail": record.detail,
+        "reference_errors": _errors_text(record),
     }
+
+
+def _errors_text(record: DatumRecord) -> str | None:
+    errors = record.errors
+    if errors is None:
+        return None
+    found = {
+        "targets": list(zip(errors.names, errors.sizes, strict=True)),
+        "covariance": errors.covariance.tolist(),
+        "shared": {name: shared.tolist() for name, shared in record.shared.items()},
+    }
+    return json.dumps(found, allow_nan=False)
+
+
+def _errors(text: str | None) -> tuple[ReferenceErrors | None, dict[str, FloatArray]]:
+    if text is None:
+        return None, {}
+    found = json.loads(text)
+    names, sizes = zip(*found["targets"], strict=True)
+    errors = ReferenceErrors(tuple(names), tuple(sizes), np.array(found["covariance"]))
+    return errors, {name: np.array(shared) for name, shared in found["shared"].items()}
 
 
 _OFFSET = ("x_mm", "y_mm", "var_x_mm2", "var_y_mm2", "cov_xy_mm2")
@@ -181,6 +287,27 @@ def _step_fields(step: DatumStep) -> dict[str, Any]:
         "from": step.from_id,
         "main": None if step.offset is None else _numbers(step.offset),
         "targets": _by_name(step.targets),
+        **{
+            name: _gains_fields(gains)
+            for name, gains in (("now", step.now), ("before", step.before))
+            if gains is not None
+        },
+    }
+
+
+def _gains_fields(gains: Mapping[str, Gains]) -> dict[str, dict[str, list[list[float]]]]:
+    return {
+        target: {name: np.asarray(gain).tolist() for name, gain in by_name.items()}
+        for target, by_name in gains.items()
+    }
+
+
+def _gains(fields: Mapping[str, Any] | None) -> dict[str, Gains] | None:
+    if fields is None:
+        return None
+    return {
+        target: {name: np.array(gain) for name, gain in by_name.items()}
+        for target, by_name in fields.items()
     }
 
 
@@ -201,11 +328,14 @@ def _step(fields: Mapping[str, Any]) -> DatumStep:
         from_id=fields["from"],
         offset=None if main is None else _offset(main),
         targets=_offsets(fields["targets"]),
+        now=_gains(fields.get("now")),
+        before=_gains(fields.get("before")),
     )
 
 
 def _record(row: Mapping[str, Any]) -> DatumRecord:
     reference = row["reference_utc"]
+    errors, shared = _errors(row["reference_errors"])
     return DatumRecord(
         method=DatumMethod(row["method"]),
         offset=_offset(row),
@@ -213,6 +343,8 @@ def _record(row: Mapping[str, Any]) -> DatumRecord:
         created_utc=stored_time(row["created_utc"]),
         reference_utc=None if reference is None else stored_time(reference),
         targets=_offsets(json.loads(row["targets"])),
+        errors=errors,
+        shared=shared,
         detail=row["detail"],
         calibration_id=row["calibration_id"],
         id=row["id"],

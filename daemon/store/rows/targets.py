@@ -2,15 +2,19 @@
 
 A list of objects in the order of the config: `name`, `role`, `flag`, `reasons` joined by `+`, and
 under the names of the row's own columns the corrected displacement and the raw one, as far as
-there are any. Tables show them as columns of their own, the target's name before the key's.
+there are any; of a fixed one `taken_off` too, eight numbers by the name of each target that its
+error was taken off. Tables show them as columns of their own, the target's name before the key's.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from core.arrays import FloatArray
 from core.results import Flag, Reason, TargetMeasurement
 from core.site import TargetRole
 from daemon.store.rows.displacements import corrected_columns, displacement_columns, displacement_of
@@ -24,6 +28,10 @@ TARGET_COLUMNS = (
     *("raw_x_mm", "raw_y_mm", "raw_sigma_x_mm", "raw_sigma_y_mm", "raw_cov_xy_mm2", "role"),
 )
 """What `export` writes of each; all but the role are columns of the row, too."""
+
+
+_DIGITS = 5
+"""Of what was taken off: 1e-5 of it is nothing beside what it is multiplied with."""
 
 
 def join_reasons(reasons: tuple[Reason, ...]) -> str:
@@ -54,6 +62,7 @@ def targets_of(text: str | None) -> tuple[TargetMeasurement, ...]:
             reasons=split_reasons(values["reasons"]),
             corrected=displacement_of(values),
             raw=displacement_of(values, "raw_"),
+            taken_off=_taken_off(values.get("taken_off")),
         )
         for values in stored_targets(text)
     )
@@ -80,7 +89,39 @@ def target_values(target: TargetMeasurement) -> dict[str, Any]:
         "reasons": join_reasons(target.reasons),
         **corrected_columns(target.corrected),
         **displacement_columns(target.raw, "raw_"),
+        **_taken_off_values(target.taken_off),
     }
+
+
+def _taken_off_values(taken_off: Mapping[str, FloatArray] | None) -> dict[str, Any]:
+    if taken_off is None:
+        return {}
+    rounded = {
+        name: [float(f"{value:.{_DIGITS}g}") for value in np.ravel(gain)]
+        for name, gain in taken_off.items()
+    }
+    return {"taken_off": rounded}
+
+
+def _taken_off(values: Mapping[str, Sequence[float]] | None) -> dict[str, FloatArray] | None:
+    if values is None:
+        return None
+    return {name: np.reshape(gain, (2, 4)) for name, gain in values.items()}
+
+
+def gains_in(text: str | None, target: str) -> dict[str, FloatArray] | None:
+    """What of fixed targets' values a row of this text had taken off a target.
+
+    (2, 4) by the fixed one's name; None where that is not known, as in a text that is damaged.
+    """
+    try:
+        fixed = [seen for seen in stored_targets(text) if seen["role"] == TargetRole.FIXED]
+        if any("taken_off" not in seen for seen in fixed if "x_mm" in seen):
+            return None
+        taken = {seen["name"]: seen.get("taken_off", {}).get(target) for seen in fixed}
+        return {name: np.reshape(gain, (2, 4)) for name, gain in taken.items() if gain is not None}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return None
 
 
 def target_of_column(column: str) -> tuple[str, str] | None:

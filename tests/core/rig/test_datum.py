@@ -57,8 +57,8 @@ def test_the_bridge_beside_the_plate_is_what_has_moved(usual: Session) -> None:
     for roll_rad, scale in ((0.0, 1.0), (2e-4, 1.0), (0.017, 1.0), (1e-4, 1.004)):
         found = through_fixed_targets(old, turned(site, old, moved_mm, roll_rad, scale), site)
         assert found is not None
-        np.testing.assert_allclose(found["main"].mm, moved_mm, atol=1e-3)
-        sigma = np.sqrt(np.diag(found["main"].covariance_mm2))
+        np.testing.assert_allclose(found["main"].displacement.mm, moved_mm, atol=1e-3)
+        sigma = np.sqrt(np.diag(found["main"].displacement.covariance_mm2))
         assert (sigma > 1e-3).all()
         assert (sigma < 0.05).all()
 
@@ -68,7 +68,7 @@ def test_parallax_of_an_unknown_shift_is_in_the_sigma(usual: Session) -> None:
     site, old = with_plate(usual)
     found = through_fixed_targets(old, old, site)
     assert found is not None
-    sigma = np.sqrt(np.diag(found["main"].covariance_mm2))
+    sigma = np.sqrt(np.diag(found["main"].displacement.covariance_mm2))
     np.testing.assert_allclose(sigma, 1.5 * 125.0 / 11125.0, rtol=0.15)
 
 
@@ -89,9 +89,9 @@ def test_a_known_travel_takes_the_parallax_off(usual: Session) -> None:
     known = through_fixed_targets(old, new, site, travel_by(old, motion, 0.1))
     assert unknown is not None
     assert known is not None
-    assert 0.015 < np.hypot(*unknown["main"].mm) < 0.03
-    np.testing.assert_allclose(known["main"].mm, 0.0, atol=5e-4)
-    assert np.sqrt(known["main"].covariance_mm2[0, 0]) < 0.003
+    assert 0.015 < np.hypot(*unknown["main"].displacement.mm) < 0.03
+    np.testing.assert_allclose(known["main"].displacement.mm, 0.0, atol=5e-4)
+    assert np.sqrt(known["main"].displacement.covariance_mm2[0, 0]) < 0.003
 
 
 def test_without_a_fixed_target_in_both_there_is_no_answer(usual: Session) -> None:

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
 import pytest
 
 from core.results import Displacement
-from daemon.datum.chain import NOTHING, Observation, origin, relinked, solve, weighted_mean
+from core.rig.reference_errors import Gains, ReferenceErrors
+from core.site import MAIN
+from daemon.datum.chain import (
+    NOTHING,
+    Observation,
+    offset_by,
+    origin,
+    relinked,
+    solve,
+    weighted_mean,
+)
 from daemon.datum.survey import surveyed
 from daemon.store.records import DatumMethod, DatumRecord, DatumStep
 
@@ -73,8 +84,8 @@ def test_a_survey_at_the_end_of_a_chain_leaves_the_others_alone() -> None:
 
 def test_two_observations_of_one_step_meet_by_their_weights() -> None:
     found = solve([Observation(2, 1, seen(0.0, 0.0, 0.1)), Observation(2, 1, seen(1.0, 1.0, 0.2))])
-    assert found[2].mm == pytest.approx([0.2, 0.2], abs=1e-6)
-    assert found[2].covariance_mm2[0, 0] == pytest.approx(1.0 / (100 + 25), rel=1e-6)
+    assert found[2].offset.mm == pytest.approx([0.2, 0.2], abs=1e-6)
+    assert found[2].offset.covariance_mm2[0, 0] == pytest.approx(1.0 / (100 + 25), rel=1e-6)
 
 
 def test_further_targets_have_offsets_of_their_own_and_survive_a_survey() -> None:
@@ -104,3 +115,58 @@ def test_a_mean_of_looks_that_scatter_more_than_they_say_is_as_wide() -> None:
     rng = np.random.default_rng(2)
     looks = [Displacement(rng.normal(0.0, 1.0, 2), 0.01 * np.eye(2)) for _ in range(400)]
     assert np.sqrt(weighted_mean(looks).covariance_mm2[1, 1]) == pytest.approx(0.05, rel=0.15)
+
+
+NOISE_MM2 = np.array([[0.004, 0.001], [0.001, 0.006]])
+OF_MAIN = ReferenceErrors((MAIN,), (2,), NOISE_MM2)
+ALONE: dict[str, Gains] = {MAIN: {}}
+
+
+def measured_link(from_id: int, method: DatumMethod = DatumMethod.OLD_CALIBRATION) -> DatumRecord:
+    """A step whose sigma is the noise of both references, and a little more."""
+    offset = Displacement(np.array([1.0, 0.5]), 2.0 * NOISE_MM2 + 1e-4 * np.eye(2))
+    step = DatumStep(method, from_id, offset, {}, ALONE, ALONE)
+    if method is DatumMethod.SAME_REFERENCE:
+        step = DatumStep(method, from_id, NOTHING)
+    return DatumRecord(method, NOTHING, (step,), NOW, errors=OF_MAIN)
+
+
+def test_the_noise_of_a_reference_in_the_middle_of_a_chain_cancels() -> None:
+    """It is in the link that measured it, and in the next one with the opposite sign."""
+    zero = {1: origin(NOW, None, OF_MAIN)}
+    chain = relinked(zero, {number: measured_link(number - 1) for number in (2, 3, 4)}, NOW)
+    expected = 2.0 * NOISE_MM2 + 3e-4 * np.eye(2)
+    assert chain[4].offset.covariance_mm2 == pytest.approx(expected, rel=1e-4)
+    assert chain[4].shared[MAIN] == pytest.approx(NOISE_MM2, rel=1e-4)
+
+
+def test_a_chain_adjusted_as_a_whole_is_the_chain_link_by_link() -> None:
+    zero = {1: origin(NOW, None, OF_MAIN)}
+    methods = (DatumMethod.OLD_CALIBRATION, DatumMethod.SAME_REFERENCE, DatumMethod.ROWS)
+    links = {2 + at: measured_link(1 + at, method) for at, method in enumerate(methods)}
+    whole = zero | relinked(zero, links, NOW)
+    base = zero[1]
+    for number, one in links.items():
+        solved = offset_by(one.steps[0], base, one.errors)
+        assert solved.shared is not None
+        assert solved.offset.mm == pytest.approx(whole[number].offset.mm, abs=1e-5)
+        mm2 = whole[number].offset.covariance_mm2
+        assert solved.offset.covariance_mm2 == pytest.approx(mm2, rel=1e-4)
+        assert solved.shared == pytest.approx(whole[number].shared[MAIN], rel=1e-4)
+        base = replace(one, offset=solved.offset, shared={MAIN: solved.shared})
+
+
+def test_two_looks_at_one_reference_do_not_average_its_noise() -> None:
+    zero = {1: origin(NOW, None, OF_MAIN)}
+    twice = measured_link(1)
+    twice = replace(twice, steps=twice.steps * 2)
+    mm2 = relinked(zero, {2: twice}, NOW)[2].offset.covariance_mm2
+    assert mm2 == pytest.approx(2.0 * NOISE_MM2 + 0.5e-4 * np.eye(2), rel=1e-4)
+
+
+def test_a_survey_has_nothing_in_common_with_the_reference() -> None:
+    zero = {1: origin(NOW, None, OF_MAIN)}
+    chain = zero | relinked(zero, {2: measured_link(1)}, NOW)
+    changed = relinked(chain, {2: surveyed(chain[2], 5.0, 6.0, 0.2, "levelling", NOW)}, NOW)
+    assert changed[2].shared[MAIN] == pytest.approx(np.zeros((2, 2)), abs=1e-9)
+    assert changed[2].offset.covariance_mm2 == pytest.approx(0.04 * np.eye(2), rel=1e-4)
