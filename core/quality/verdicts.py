@@ -53,8 +53,8 @@ Clear discs of the rendered sets leave less than half of it (measured)."""
 _NO_VALUE_PX = 1.0
 """Discs or corners that miss by a whole pixel are not the target's."""
 _RANGE_FACTOR = 4.0
-"""Times the largest motion of calibration or expected drift: beyond it corrections are
-extrapolated. Insensitive from 2 to 8."""
+"""Times the largest motion of calibration or expected drift, about or along one axis: beyond it
+corrections are extrapolated. Insensitive from 2 to 8."""
 _MISSING = {Reason.MAIN_IMAGE_MISSING, Reason.SUB_IMAGE_MISSING}
 
 
@@ -147,11 +147,14 @@ def is_inconsistent(shift: CommonShift, board: BoardPose | None) -> bool:
 
 
 def judge_motion(calibrated: CalibratedSite, motion: RigMotion, site: Site) -> list[Reason]:
-    """Whether the rig moved further than the calibration and the expected drift cover."""
+    """Whether the rig moved further than the calibration and the expected drift cover.
+
+    Axis by axis, as the drift is expected: a motion along all three is longer than along one.
+    """
     turn = max(calibrated.baseline.max_rotation_rad, site.quality.expected_drift_mrad * 1e-3)
     slide = max(calibrated.baseline.max_translation_mm, site.quality.expected_drift_mm)
-    far = float(np.linalg.norm(motion.rotation_rad)) > _RANGE_FACTOR * turn
-    far |= float(np.linalg.norm(motion.translation_mm)) > _RANGE_FACTOR * slide
+    far = float(np.abs(motion.rotation_rad).max()) > _RANGE_FACTOR * turn
+    far |= float(np.abs(motion.translation_mm).max()) > _RANGE_FACTOR * slide
     reasons = [Reason.MOTION_OUT_OF_RANGE] if far else []
     if isinstance(calibrated.model, PaperModel):
         off_axis = float(np.nanmax(np.abs(calibrated.reference_discs_px - site.main.centre_px)))

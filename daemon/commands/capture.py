@@ -18,6 +18,7 @@ from daemon.control.control_socket import ask_daemon
 from daemon.devices import open_clock, open_pair_source
 from daemon.errors import DatabaseMissingError, ExitCode
 from daemon.lock import sole_writer
+from daemon.readings.sampler import open_sampler
 from daemon.slots.exposure import last_known, loop_of, settle
 from daemon.slots.learner import Learner
 from daemon.slots.measuring import ActiveCalibration, active_calibration
@@ -60,19 +61,24 @@ def _look(options: Options) -> dict[str, Any]:
         calibration, last_utc, exposures = _known(state)
         loop = loop_of(config)
         clock = open_clock(config, last_utc)
-        with closing(open_pair_source(config, clock)) as source:
+        with (
+            closing(open_pair_source(config, clock)) as source,
+            closing(open_sampler(config)) as sampler,
+        ):
             if loop is not None:
                 loop.begin(source, exposures)
                 settle(source, clock, loop)
             slot_utc = clock.now_utc().replace(microsecond=0)
             shots = take_burst(source, clock, slot_utc, config.burst_plan())
+            readings = sampler.between_slots(slot_utc)
     site, learner = config.site(), Learner()
     if calibration is None:
-        measurement = measure_look(shots, slot_utc, site, None, None, learner)
+        measurement = measure_look(shots, slot_utc, site, None, None, learner, readings)
     else:
         with open_store_readonly(state) as store:
-            measurement = measure_look(shots, slot_utc, site, calibration, store, learner)
-    return look_fields(slot_utc, measurement, shots, site)
+            given = site, calibration, store, learner, readings
+            measurement = measure_look(shots, slot_utc, *given)
+    return look_fields(slot_utc, measurement, shots, site, readings)
 
 
 def _known(
@@ -108,6 +114,10 @@ def say_look(look: dict[str, Any]) -> None:
     for target in row.get("targets", []):  # an older dcamd gives none
         say(f"{target['name']:<12} {target['role']}, {_value(target)}")
     say(f"seen         {seen['discs']} discs, {seen['corners']} corners")
+    for reading in look.get("readings", []):
+        value = reading["value"]
+        said = f"none: {reading['cause']}" if value is None else f"{value:g} {reading['unit']}"
+        say(f"{reading['name']:<12} {said}")
     for problem in look.get("problems", []):  # an older dcamd gives none
         say(f"problem      {problem}")
     if Reason.NO_CALIBRATION in row["reasons"]:

@@ -64,6 +64,13 @@ class Sampler:
             found |= bus.collect(slot_utc)
         return tuple(found[section.name] for section in self._sections)
 
+    def between_slots(self, now_utc: datetime) -> tuple[Reading, ...]:
+        """Read all sensors now and wait for them; what was asked for ahead stays asked for."""
+        found: dict[str, Reading] = {}
+        for bus in self._buses:
+            found |= bus.read_between(now_utc)
+        return tuple(found[section.name] for section in self._sections)
+
     def of_stored(self, values: Mapping[str, float]) -> tuple[Reading, ...]:
         """A slot's readings as they stand beside its frames, which do not say why one is not."""
         return tuple(
@@ -147,6 +154,18 @@ class _Bus:
                 probe.section.name: mine.get(probe.section.name) or self._why_not(probe.section)
                 for probe in self._probes
             }
+
+    def read_between(self, now_utc: datetime) -> dict[str, Reading]:
+        with self._changed:
+            next_one = self._request
+        self.ask(now_utc, 0.0)
+        self.wait(now_utc)
+        found = self.collect(now_utc)
+        with self._changed:
+            if next_one is not None and self._request and self._request.slot_utc == now_utc:
+                self._request = next_one
+                self._changed.notify_all()
+        return found
 
     def stop(self) -> None:
         with self._changed:

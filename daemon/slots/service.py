@@ -205,11 +205,12 @@ class Service:
             context, source = self._station.context, self._station.source
             slot_utc = self._clock.now_utc().replace(microsecond=0)
             shots = take_burst(source, self._clock, slot_utc, context.burst)
+            readings = context.readings.between_slots(slot_utc)
         calibration = active_calibration(self._store)
         measurement = measure_look(
-            shots, slot_utc, context.site, calibration, self._store, context.learner
+            shots, slot_utc, context.site, calibration, self._store, context.learner, readings
         )
-        return look_fields(slot_utc, measurement, shots, context.site)
+        return look_fields(slot_utc, measurement, shots, context.site, readings)
 
 
 def prepare_cameras(source: FramePairSource) -> None:

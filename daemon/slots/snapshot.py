@@ -18,6 +18,7 @@ from daemon.slots.measuring import ActiveCalibration, image_pair, measure
 from daemon.slots.row_history import measure_in_record
 from daemon.store.database import Store
 from daemon.store.queries.json_fields import plain, result_fields
+from daemon.store.records import Reading
 from daemon.store.rows.datum import in_record_zero
 from drivers.protocols import CapturedFrame, CapturedPair
 
@@ -45,12 +46,15 @@ def measure_look(
     calibration: ActiveCalibration | None,
     store: Store | None,
     learner: Learner,
+    readings: Sequence[Reading] = (),
 ) -> Measurement:
     """Measure pairs as a slot's row is: held against those of `store`, in the record's zero.
 
+    readings are what the sensors said then: one may be the temperature of the steel.
+
     Raises StoreError.
     """
-    pairs = [image_pair(shot.pair, slot_utc) for shot in shots]
+    pairs = [image_pair(shot.pair, slot_utc, readings) for shot in shots]
     if store is None or calibration is None:
         return measure(pairs, site, calibration)
     judged = measure_in_record(store, site, calibration, learner, slot_utc, pairs)
@@ -58,7 +62,11 @@ def measure_look(
 
 
 def look_fields(
-    slot_utc: datetime, measurement: Measurement, shots: Sequence[Shot], site: Site
+    slot_utc: datetime,
+    measurement: Measurement,
+    shots: Sequence[Shot],
+    site: Site,
+    readings: Sequence[Reading] = (),
 ) -> dict[str, Any]:
     """Give a look in plain JSON types; one without a value with what explains that."""
     pair, seen = shots[0].pair, measurement.diagnostics
@@ -69,6 +77,10 @@ def look_fields(
             "pairs": len(shots),
             "seen": {"discs": seen.discs_found, "corners": seen.corners_used},
             "problems": problems,
+            "readings": [
+                {"name": one.name, "unit": one.unit, "value": one.value, "cause": one.cause}
+                for one in readings
+            ],
             **pair_fields(pair),
         }
     )

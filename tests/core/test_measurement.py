@@ -244,6 +244,22 @@ def test_motion_beyond_the_calibration_is_flagged(lab: Session) -> None:
     assert measured.flag is not Flag.GOOD
 
 
+def test_each_axis_of_the_rig_has_the_whole_range_for_itself(lab: Session) -> None:
+    """Four times what is expected of an axis: a motion along all three may be 1.7 times longer."""
+    calibrated, limits = lab.calibration.calibrated, lab.site.quality
+    turn_rad = max(calibrated.baseline.max_rotation_rad, 1e-3 * limits.expected_drift_mrad)
+    slide_mm = max(calibrated.baseline.max_translation_mm, limits.expected_drift_mm)
+
+    def is_far(turns: list[float], slides: list[float]) -> bool:
+        motion = RigMotion(turn_rad * np.array(turns), slide_mm * np.array(slides), np.eye(6))
+        return Reason.MOTION_OUT_OF_RANGE in judge_motion(calibrated, motion, lab.site)
+
+    still = [0.0, 0.0, 0.0]
+    assert not is_far([3.9, -3.9, 3.9], [-3.9, 3.9, -3.9])
+    assert is_far([0.0, -4.1, 0.0], still)
+    assert is_far(still, [0.0, 0.0, -4.1])
+
+
 def test_the_affine_camera_is_refused_where_equation_5_fails(lab: Session, paper: Session) -> None:
     """|dz / d0 (x - x0)| beyond 1 px makes a row suspect, by the paper's method only."""
     off_axis_px = np.nanmax(

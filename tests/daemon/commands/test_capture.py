@@ -35,6 +35,25 @@ def test_a_pair_is_measured_and_printed(ctl: Ctl, arguments: tuple[object, ...])
     assert "5 discs" in text
 
 
+def test_the_temperature_of_the_steel_is_in_the_sigma(
+    ctl: Ctl, arguments: tuple[object, ...], tmp_path: Path
+) -> None:
+    """As in a row: what a sensor says now, against the reference."""
+    steel = tmp_path / "steel"
+    said = '\n[stability]\ntemperature_reading = "steel"\n[[reading]]\nname = "steel"\n'
+    said += f'unit = "degC"\nfile = "{steel}"\n'
+    (tmp_path / "dcam.toml").write_text(SIMULATED + said)
+    sigmas_mm = []
+    for celsius in (10.0, 60.0):
+        steel.write_text(f"{celsius}\n")
+        ran = ctl(*arguments, "capture", "--json")
+        document = json.loads(ran.out)
+        (reading,) = document["readings"]
+        assert (reading["name"], reading["value"]) == ("steel", celsius)
+        sigmas_mm.append(document["measurement"]["sigma_x_mm"])
+    assert sigmas_mm[1] > 1.5 * sigmas_mm[0]
+
+
 def test_nothing_is_recorded(ctl: Ctl, arguments: tuple[object, ...], tmp_path: Path) -> None:
     ctl(*arguments, "capture")
     with open_store_readonly(tmp_path / "state") as store:

@@ -143,3 +143,14 @@ def test_a_site_without_sensors_has_no_thread() -> None:
     sampler.ahead(SLOT, 0.0)
     assert sampler.collect(SLOT) == ()
     assert threading.active_count() == before
+
+
+def test_a_look_between_slots_reads_now_and_leaves_the_next_slot_asked_for(sampler_of) -> None:
+    warm = Scripted("a")
+    sampler = sampler_of(probe(warm))
+    sampler.ahead(NEXT, 5.2)
+    between = SLOT + timedelta(seconds=20)
+    assert sampler.between_slots(between) == (Reading("air", "degC", 21.5),)
+    warm.answer = 22.0
+    wait_for(lambda: value_of(sampler, NEXT) is not None, "the next slot's value")
+    assert value_of(sampler, NEXT) == 22.0
