@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from core.moment import Moment
 from daemon.lock import sole_writer
-from daemon.store.database import open_store_readonly
+from daemon.store.database import open_store, open_store_readonly
 from tests.daemon.commands.conftest import SIMULATED, Ctl
 
 
@@ -43,6 +45,13 @@ def test_the_temperature_of_the_steel_is_in_the_sigma(
     said = '\n[stability]\ntemperature_reading = "steel"\n[[reading]]\nname = "steel"\n'
     said += f'unit = "degC"\nfile = "{steel}"\n'
     (tmp_path / "dcam.toml").write_text(SIMULATED + said)
+    with open_store(tmp_path / "state") as store:
+        made = store.active_calibration()
+        assert made is not None
+        cool = Moment(made.created_utc.timestamp(), None, {"steel": 10.0}).to_dict()
+        store.add_calibration(
+            replace(made, content={**made.content, "reference": cool}, id=None), activate=True
+        )
     sigmas_mm = []
     for celsius in (10.0, 60.0):
         steel.write_text(f"{celsius}\n")
