@@ -136,9 +136,8 @@ class Site:
                 time.sleep(0.01)
 
 
-def run(days: int, dark_days: float, directory: Path, measure_every: int) -> Result:
-    """Run the whole history below a directory, and look at what has become of it."""
-    history = History.of(days, dark_days)
+def run(history: History, directory: Path, measure_every: int) -> Result:
+    """Run a whole history below a directory, and look at what has become of it."""
     site = Site(directory, history, measure_every)
     site.calibrate()
     began_s, cpu_s = time.monotonic(), _children_cpu_s()
@@ -153,7 +152,7 @@ def run(days: int, dark_days: float, directory: Path, measure_every: int) -> Res
         wrong = _faults(store, history, first.rows | second.rows)
     powered = len(history.powered())
     return Result(
-        days=days,
+        days=history.days,
         slots=history.slots,
         powered=powered,
         rows=covered.measured,
@@ -273,7 +272,8 @@ def main() -> int:
     options = parser.parse_args()
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with _directory(options.directory) as directory:
-        result = run(options.days, options.dark_days, directory, options.measure_every)
+        history = History.of(options.days, options.dark_days)
+        result = run(history, directory, options.measure_every)
     print(json.dumps(asdict(result) | {"growth_mb": result.growth_mb}, indent=2))
     return 1 if result.wrong else 0
 

@@ -40,9 +40,10 @@ class History:
     """Power is back by this slot."""
 
     @classmethod
-    def of(cls, days: int, dark_days: float) -> History:
-        """Put the power failure in the middle, its ends by day and between two slots."""
-        dark_from = START_UTC + timedelta(minutes=round(DAY_MIN * (days - dark_days) / 2.0))
+    def of(cls, days: int, dark_days: float, bright_days: float | None = None) -> History:
+        """Put the power failure after so many days, or in the middle; its ends by day."""
+        before = (days - dark_days) / 2.0 if bright_days is None else bright_days
+        dark_from = START_UTC + timedelta(minutes=round(DAY_MIN * before))
         return cls(days, dark_from, dark_from + timedelta(minutes=round(DAY_MIN * dark_days)))
 
     @property

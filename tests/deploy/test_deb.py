@@ -106,7 +106,7 @@ sed -i 's/^Version: .*/Version: 2/' "$1/new/DEBIAN/control"
 dpkg-deb -Znone --build "$1/new" "$1/2.deb" > /dev/null
 mkdir -p "$1/bin"
 PATH="$1/bin:$PATH"
-dpkg() { command dpkg --force-unsafe-io "$@"; }
+dpkg() { command dpkg --force-unsafe-io --no-triggers "$@"; }
 dpkg --install "$1/1.deb" > "$1/log" 2>&1 || { cat "$1/log"; exit 1; }
 stat -c "config: %U:%G %a" /etc/dcam/dcam.toml
 before=$(readlink -f /opt/dcam/venv)
