@@ -151,6 +151,7 @@ def many_piers(server: Server, piers: int, seconds: int, minutes: int) -> None:
             "period_s": 60,
             "level": 2 if number % 500 == 0 else 0,
             "summary": "coverage 24 h: 99.9 %",
+            "alarms": number % 500 == 0,
         }
         for number in range(piers)
     ]

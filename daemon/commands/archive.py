@@ -32,9 +32,10 @@ _FIRST = datetime(2000, 1, 1, tzinfo=UTC)
 def command(options: Options, place: str | None, since: datetime | None) -> None:
     """Write closed months of the central database's rows as Parquet, one file a site and month.
 
-    A month is closed once a row of a later one is there. What is written already stays, unless rows
-    came late: then its file is replaced as a whole. Run it again at any time, also after it was cut
-    off. For DuckDB, pandas and others: docs/fleet.md says how. Needs pyarrow, and fsspec for a URL.
+    A month is closed once a row of a later one is there. What is written already stays, and is not
+    read again, unless rows came late: then its file is replaced as a whole. Run it again at any
+    time, also after it was cut off. For DuckDB, pandas and others: docs/fleet.md says how. Needs
+    pyarrow, and fsspec for a URL.
     """
     from daemon.fleet.archive import write_archive
     from daemon.fleet.opening import opened
@@ -46,8 +47,8 @@ def command(options: Options, place: str | None, since: datetime | None) -> None
         raise UsageError(msg)
     if not has_library("pyarrow"):
         msg = (
-            "no Parquet: pyarrow is not installed: pip install 'dcam[archive]'; make install and "
-            "the package do not bring it, but any computer that reaches the centre will do"
+            "no Parquet: pyarrow is not installed; docs/fleet.md says how to make the environment "
+            "that archive runs in, on any computer that reaches the central database"
         )
         raise MissingLibraryError(msg)
     with opened(settings) as central, progress(None, "writing months") as steps:

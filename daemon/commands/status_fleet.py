@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import asdict
 
 from daemon.commands.options import Options
 from daemon.commands.output import one_line, print_json, print_table, say
 from daemon.fleet.opening import opened
-from daemon.fleet.site import site_verdict
+from daemon.fleet.site import known_site, site_verdict
+from daemon.fleet.sums import FleetSums, sums_of
 from daemon.fleet.verdict import SiteVerdict, fleet_level, judge_fleet
 from daemon.status.item import Level
 from daemon.store.central.sites import read_sites
@@ -22,13 +24,14 @@ def look_at_fleet(options: Options, *, as_json: bool) -> Level:
     settings = options.centre.fleet
     with opened(settings) as central:
         found = judge_fleet(read_sites(central), settings.silent_min * 60.0)
-    level = fleet_level(found)
+    level, sums = fleet_level(found), sums_of(found, settings.silent_min * 60.0)
     if as_json:
         print_json(
             {
                 "command": "status",
                 "level": level.name.lower(),
                 "code": level,
+                "sums": asdict(sums),
                 "sites": [_fields(one) for one in found],
             }
         )
@@ -36,6 +39,7 @@ def look_at_fleet(options: Options, *, as_json: bool) -> Level:
     counts = Counter(one.level for one in found)
     said = ", ".join(f"{counts[one]} {one.name.lower()}" for one in Level if counts[one])
     say(f"DCAM {level.name} - {len(found)} sites: {said or 'none yet'}")
+    say(_sums_text(sums))
     say()
     shown = found[:MOST_LINES]
     rows = [(one.site.name, one.level.name.lower(), _slot(one), one.text) for one in shown]
@@ -45,11 +49,19 @@ def look_at_fleet(options: Options, *, as_json: bool) -> Level:
     return level
 
 
+def _sums_text(sums: FleetSums) -> str:
+    return (
+        f"measuring: {sums.measuring}; no new rows: {sums.stale}; not heard from: {sums.silent}; "
+        f"with alarms: {sums.sites_with_alarms} ({sums.alarms} raised)"
+    )
+
+
 def look_at_site(options: Options, *, as_json: bool) -> Level:
     """Print how one site said it was at its last sync. Raises as `look_at_fleet`, UsageError."""
     settings, name = options.centre.fleet, str(options.site)
     with opened(settings) as central:
-        found, said = site_verdict(central, name, settings.silent_min * 60.0)
+        said = known_site(central, name)["status"] or {}
+        found = site_verdict(central, name, settings.silent_min * 60.0)
     heard_utc = found.site.heard_utc.replace(microsecond=0)
     if as_json:
         of_centre = {"level": found.level.name.lower(), "code": found.level, "text": found.text}
@@ -80,4 +92,5 @@ def _fields(one: SiteVerdict) -> dict[str, object]:
         "latitude_deg": latitude_deg,
         "longitude_deg": longitude_deg,
         "version": site.version,
+        "alarms": site.alarms,
     }

@@ -76,21 +76,24 @@ def _sync(options: Options) -> None:
 
 def _put_status(options: Options, central: Central, site_id: int) -> None:
     """Keep what `status` says here, for the list of all sites."""
-    from daemon.alarm.armed import all_items
+    from daemon.alarm.armed import all_items, armed_alarms
     from daemon.commands.status import status_fields
     from daemon.status.facts import collect_facts
     from daemon.status.item import Level, worst
     from daemon.status.verdict import no_verdict
-    from daemon.store.central.writing import put_status
+    from daemon.store.central.writing import Verdict, put_status
     from daemon.store.queries.json_fields import plain
 
+    raised: int | None = None
     try:
         facts = collect_facts(options.config, options.state, datetime.now(UTC))
         items = all_items(options.config, options.state, facts)
         level, fields = worst(items), plain(status_fields(facts, items))
+        armed = armed_alarms(options.config, options.state, facts.now_utc)
+        raised = sum(one.since_utc is not None for one in armed)
     except DcamError as error:
         items = [no_verdict(error)]
         level, fields = items[0].level, {}
     wrong = [item for item in items if item.level is level and level is not Level.OK]
     summary = "; ".join(f"{item.name}: {item.text}" for item in wrong) or items[0].text
-    put_status(central, site_id, int(level), summary, fields)
+    put_status(central, site_id, Verdict(int(level), summary, raised), fields)

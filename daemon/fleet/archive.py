@@ -11,7 +11,6 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import datetime
-from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -22,7 +21,7 @@ from daemon.remote_path import RemotePath, is_url
 
 if TYPE_CHECKING:
     from daemon.store.central.connecting import Central
-    from daemon.store.central.months import SiteMonth
+    from daemon.store.central.months import LeavingSite, LeftMonth
 
 Place = Path | RemotePath
 Written = dict[str, Any]
@@ -55,54 +54,70 @@ def write_archive(
 
     Raises CentralAwayError, HardwareError, UsageError, WorkFailedError, OSError.
     """
-    from daemon.store.central.months import closed_months
+    from daemon.store.central.months import leaving_sites
 
     root: Place = RemotePath(place) if is_url(place) else Path(place).absolute()
     done = Archived()
-    for name, months in groupby(closed_months(central, since), lambda month: month.site):
-        noted = root / "written" / f"{quote(name, safe='')}.json"
+    for site in leaving_sites(central, since):
+        if not site.months:
+            continue
+        noted = root / "written" / f"{quote(site.name, safe='')}.json"
         written = _read(noted)
         before = json.dumps(written)
-        for month in months:
-            _write_month(central, root, month, written, done)
+        for month in site.months:
+            _write_month(central, root, site, month, written, done)
             tell(done.rows, None)
-            site_id = month.site_id
-        _write_small(central, root, name, site_id, written, done)
+        if any(written[_part(site, month)][1] for month in site.months):
+            _write_small(central, root, site, written, done)
         if json.dumps(written) != before:
             _write(noted, json.dumps(written, indent=1).encode())
     return done
 
 
-def _write_month(
-    central: Central, root: Place, month: SiteMonth, written: Written, done: Archived
-) -> None:
-    from daemon.store.central.months import month_rows
+def _part(site: LeavingSite, month: LeftMonth) -> str:
+    return f"measurement/site={quote(site.name, safe='')}/{month.begin_utc:year=%Y/month=%m}"
 
-    part = f"measurement/site={quote(month.site, safe='')}/{month.begin_utc:year=%Y/month=%m}"
-    made_from = [LAYOUT, month.rows, month.digest]
-    if written.get(part) == made_from:
-        done.kept += 1
+
+def _write_month(
+    central: Central,
+    root: Place,
+    site: LeavingSite,
+    month: LeftMonth,
+    written: Written,
+    done: Archived,
+) -> None:
+    from daemon.store.central.months import counted, month_rows
+
+    part = _part(site, month)
+    # What was written before changes were counted has three entries: it is counted once more.
+    layout, rows, digest, changed = [*written.get(part, (LAYOUT, 0, 0)), None][:4]
+    if (layout, changed) == (LAYOUT, month.changed):
+        done.kept += rows > 0
         return
-    if month.rows < written.get(part, made_from)[1]:  # a month that was taken out, with a late row
+    now = counted(central, site, month)
+    if now.rows < rows:  # a month that was taken out, with a late row
         done.fewer.append(part)
         return
-    content = parquet_of_rows(month_rows(central, month), month.site)
+    written[part] = [LAYOUT, now.rows, now.digest, month.changed]
+    if not now.rows or (layout, rows, digest) == (LAYOUT, now.rows, now.digest):
+        done.kept += now.rows > 0
+        return
+    content = parquet_of_rows(month_rows(central, now), site.name)
     _write(root / part / "rows.parquet", content)
-    written[part] = made_from
     done.months += 1
-    done.rows += month.rows
+    done.rows += now.rows
     done.size += len(content)
 
 
 def _write_small(
-    central: Central, root: Place, name: str, site_id: int, written: Written, done: Archived
+    central: Central, root: Place, site: LeavingSite, written: Written, done: Archived
 ) -> None:
     from daemon.store.central.months import small_rows
     from daemon.store.central.tables import DATUM, GAP, LEDGER
 
     for table in (DATUM, GAP, LEDGER):
-        rows = small_rows(central, table, site_id)
-        part = f"{table.name}/site={quote(name, safe='')}"
+        rows = small_rows(central, table, site.id)
+        part = f"{table.name}/site={quote(site.name, safe='')}"
         made_from = [LAYOUT, sum(row["digest"] for row in rows), len(rows)]
         if not rows or written.get(part) == made_from:
             continue

@@ -22,7 +22,6 @@ from daemon.store.rows.targets import (
     values_of_targets,
 )
 from daemon.store.schema import Kind, MeasurementRow, kind_of
-from drivers.libraries import require_library
 
 LAYOUT = 1
 """Of these files; another one has all months written again."""
@@ -45,9 +44,8 @@ def parquet_of_rows(batches: Iterable[Columns], site: str) -> bytes:
     """A month as the bytes of a Parquet file, the same for the same rows.
 
     Rows count from their own calibration's reference, as they were measured: the table `datum` says
-    what to add, so that a later link changes no month. Raises MissingLibraryError.
+    what to add, so that a later link changes no month.
     """
-    require_library("pyarrow", "Parquet")
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -161,7 +159,6 @@ def _motion(texts: Sequence[str | None]) -> Any:
 
 def parquet_of_small(rows: Sequence[Mapping[str, Any]]) -> bytes:
     """A small table as the bytes of a Parquet file; times are timestamps."""
-    require_library("pyarrow", "Parquet")
     import pyarrow as pa
     import pyarrow.parquet as pq
 

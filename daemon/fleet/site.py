@@ -42,28 +42,29 @@ def fetch(
     from daemon.store.central.replica import fetch_site
 
     with opened(settings) as central:
-        site = _known(central, name)
+        site = known_site(central, name)
         state = cache_directory() / slug(name)
         fetch_site(central, site, state, tell)
-        verdict, status = site_verdict(central, name, settings.silent_min * 60.0)
+        verdict = site_verdict(central, name, settings.silent_min * 60.0)
     config = state / "dcam.toml"
     write_durable(config, (site["config"] or "").encode())
-    return FetchedSite(state, config, verdict, status)
+    return FetchedSite(state, config, verdict, site["status"] or {})
 
 
-def site_verdict(
-    central: Central, name: str, silent_s: float
-) -> tuple[SiteVerdict, Mapping[str, Any]]:
-    """How a site is, and all that its pier said of itself. Raises as `fetch`."""
+def site_verdict(central: Central, name: str, silent_s: float) -> SiteVerdict:
+    """How a site is that is there. Raises CentralAwayError."""
     from daemon.fleet.verdict import judge_fleet
     from daemon.store.central.sites import read_sites
 
-    said = _known(central, name)["status"]
     (found,) = judge_fleet(read_sites(central, name), silent_s)
-    return found, said or {}
+    return found
 
 
-def _known(central: Central, name: str) -> Mapping[str, Any]:
+def known_site(central: Central, name: str) -> Mapping[str, Any]:
+    """Everything that the central database has of a site itself.
+
+    Raises UsageError for a name that is none; CentralAwayError.
+    """
     from daemon.store.central.sites import read_sites, site_row
 
     site = site_row(central, name)

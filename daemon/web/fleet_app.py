@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import anyio.to_thread
@@ -24,6 +24,7 @@ from daemon.error_report import lines_of
 from daemon.errors import DcamError
 from daemon.fleet.opening import opened
 from daemon.fleet.site import pages_directory
+from daemon.fleet.sums import sums_of
 from daemon.fleet.verdict import SiteVerdict, fleet_level, judge_fleet
 from daemon.outputs.row_fields import slug
 from daemon.web.answers import as_json, respond
@@ -86,12 +87,14 @@ class FleetPage:
         from daemon.store.central.sites import read_sites
 
         settings = self.centre.fleet
+        silent_s = settings.silent_min * 60.0
         with opened(settings) as central:
-            found = judge_fleet(read_sites(central), settings.silent_min * 60.0)
+            found = judge_fleet(read_sites(central), silent_s)
         self._names = {slug(one.site.name): one.site.name for one in found}
         return {
             "schema": 1,
             "level": int(fleet_level(found)),
+            "sums": asdict(sums_of(found, silent_s)),
             "sites": [_fields(one) for one in found],
         }
 

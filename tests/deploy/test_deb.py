@@ -53,6 +53,7 @@ def test_debian_package_holds_it_all(package: Path, tmp_path: Path) -> None:
     assert files["/usr/lib/dcam/venv/bin/dcamd"] == "-rwxr-xr-x"
     assert files["/usr/bin/dcam-ctl"].startswith("l")
     units = ("dcamd.service", "dcam-alarm.service", "dcam-alarm.timer")
+    units += ("dcam-archive.service", "dcam-archive.timer")
     units += ("dcam-report.service", "dcam-report.timer", "dcam-send.service")
     units += ("dcam-sync.service", "dcam-sync.timer", "dcam-web.service")
     for name in (

@@ -45,6 +45,8 @@ def test_what_the_service_needs_is_in_place(installed: Path) -> None:
         "lib/systemd/system/dcamd.service",
         "lib/systemd/system/dcam-alarm.service",
         "lib/systemd/system/dcam-alarm.timer",
+        "lib/systemd/system/dcam-archive.service",
+        "lib/systemd/system/dcam-archive.timer",
         "lib/systemd/system/dcam-report.service",
         "lib/systemd/system/dcam-report.timer",
         "lib/systemd/system/dcam-send.service",

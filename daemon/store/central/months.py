@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from sqlalchemy import Interval, Table, cast, func, select
+from sqlalchemy import Table, func, select, text
 
 from daemon.store.central.connecting import Central
 from daemon.store.central.tables import DIGEST_PART, MEASUREMENT, SITE, to_sqlite
@@ -27,34 +27,73 @@ class SiteMonth:
     """A sum over the rows' checksums: another one if any row came, went or changed."""
 
 
-def closed_months(central: Central, since: datetime) -> Iterator[SiteMonth]:
-    """Months from one on that a site has left behind, by site and month.
+@dataclass(frozen=True, slots=True)
+class LeftMonth:
+    """A month that a site has left behind, its rows not looked at."""
+
+    begin_utc: datetime
+    end_utc: datetime
+    changed: int
+    """How often it changed after that: another number wherever its rows may differ."""
+
+
+@dataclass(frozen=True, slots=True)
+class LeavingSite:
+    """A site and the months that it has left behind."""
+
+    id: int
+    name: str
+    months: tuple[LeftMonth, ...]
+
+
+def leaving_sites(central: Central, since: datetime) -> list[LeavingSite]:
+    """Sites by name, with the months from one on that they have left and of which rows are there.
 
     Rows are copied in the order in which they were written: with a row of a later month all of
     this one are there, and what no row says of it is a gap that has ended. Raises CentralAwayError.
     """
-    begin = func.date_trunc("month", MEASUREMENT.c.slot_utc, "UTC").label("begin_utc")
-    end = begin + cast("1 month", Interval)
-    sums = (
-        select(
-            *(MEASUREMENT.c.site_id, begin, end.label("end_utc"), func.count().label("rows")),
-            func.sum(MEASUREMENT.c.digest.op("&")(DIGEST_PART)).label("digest"),
+    columns = SITE.c
+    query = select(columns.id, columns.name, columns.last_slot_utc, columns.late)
+    with central.transaction() as connection:
+        parts = connection.scalars(text(_PARTS)).all()
+        sites = connection.execute(query.order_by(columns.name)).all()
+    begins = [datetime.strptime(part, "measurement_%Y_%m").replace(tzinfo=UTC) for part in parts]
+    spans = [(begin, _month_after(begin)) for begin in begins]
+    return [
+        LeavingSite(
+            site.id,
+            site.name,
+            tuple(
+                LeftMonth(begin, end, site.late.get(f"{begin:%Y-%m}", 0))
+                for begin, end in spans
+                if end > since and site.last_slot_utc is not None and site.last_slot_utc >= end
+            ),
         )
-        .where(MEASUREMENT.c.slot_utc >= since)
-        .group_by(MEASUREMENT.c.site_id, begin)
-        .subquery()
-    )
+        for site in sites
+    ]
+
+
+_PARTS = """
+SELECT relname FROM pg_inherits JOIN pg_class ON pg_class.oid = inhrelid
+WHERE inhparent = 'measurement'::regclass ORDER BY relname
+"""
+
+
+def _month_after(begin: datetime) -> datetime:
+    return (begin + timedelta(days=32)).replace(day=1)
+
+
+def counted(central: Central, site: LeavingSite, month: LeftMonth) -> SiteMonth:
+    """Count a month's rows, and add up their checksums. Raises CentralAwayError."""
+    table = MEASUREMENT.c
     query = (
-        select(sums, SITE.c.name)
-        .join(SITE, SITE.c.id == sums.c.site_id)
-        .where(SITE.c.last_slot_utc >= sums.c.end_utc)
-        .order_by(SITE.c.name, sums.c.begin_utc)
+        select(func.count(), func.sum(table.digest.op("&")(DIGEST_PART)))
+        .where(table.site_id == site.id)
+        .where(table.slot_utc >= month.begin_utc, table.slot_utc < month.end_utc)
     )
     with central.transaction() as connection:
-        found = connection.execute(query).all()
-    for row in found:
-        sum_of = int(row.digest or 0)
-        yield SiteMonth(row.site_id, row.name, row.begin_utc, row.end_utc, row.rows, sum_of)
+        rows, digest = connection.execute(query).one()
+    return SiteMonth(site.id, site.name, month.begin_utc, month.end_utc, rows, int(digest or 0))
 
 
 def month_rows(central: Central, month: SiteMonth) -> Iterator[Columns]:

@@ -30,6 +30,11 @@ class CentralSite:
     version: str
     silent_s: float
     """Since it was heard, by the central server's clock."""
+    period_s: int
+    slot_age_s: float | None
+    """Of the last slot, by the central server's clock."""
+    alarms: int | None
+    """How many are raised there; None where it has not said."""
 
 
 def read_sites(central: Central, name: str | None = None) -> list[CentralSite]:
@@ -38,7 +43,9 @@ def read_sites(central: Central, name: str | None = None) -> list[CentralSite]:
     query = select(
         *(columns.id, columns.name, columns.heard_utc, columns.level, columns.summary),
         *(columns.last_slot_utc, columns.latitude_deg, columns.longitude_deg, columns.version),
+        *(columns.period_s, columns.alarms),
         func.extract("epoch", func.now() - columns.heard_utc).label("silent_s"),
+        func.extract("epoch", func.now() - columns.last_slot_utc).label("slot_age_s"),
     ).order_by(columns.name)
     if name is not None:
         query = query.where(columns.name == name)
@@ -55,6 +62,9 @@ def read_sites(central: Central, name: str | None = None) -> list[CentralSite]:
             None if row.latitude_deg is None else (row.latitude_deg, row.longitude_deg),
             row.version,
             float(row.silent_s),
+            row.period_s,
+            None if row.slot_age_s is None else float(row.slot_age_s),
+            row.alarms,
         )
         for row in found
     ]

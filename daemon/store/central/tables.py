@@ -62,8 +62,12 @@ SITE = Table(
     Column("event_id", BigInteger, nullable=False, server_default="0"),
     Column("small", JSONB, nullable=False, server_default="{}"),
     Column("rewritten", BigInteger, nullable=False, server_default="0"),
+    Column("alarms", SmallInteger),
+    Column("late", JSONB, nullable=False, server_default="{}"),
 )
-"""`rewritten` counts rows that went or changed, so that a copy knows when it must begin again."""
+"""`rewritten` counts rows that went or changed, so that a copy knows when it must begin again;
+`alarms` those that are raised; `late`, by month, the copies that changed it when the site was in a
+later month already, so that an archive knows which of its months to look at."""
 
 
 def _central(model: type[Base], *key: str) -> Table:

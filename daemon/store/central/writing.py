@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,16 @@ class SiteFacts:
     """Latitude, longitude."""
     config: str | None = None
     """What of its config others may read, as TOML."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """How a pier says it is, in short."""
+
+    level: int
+    summary: str
+    alarms: int | None
+    """How many are raised; None where that is not known."""
 
 
 def announce(central: Central, state: Path, facts: SiteFacts) -> int:
@@ -91,34 +102,41 @@ def put_rows(central: Central, state: Path, site_id: int, limit: int = BATCH) ->
     """
     with central.transaction() as connection:
         progress = Progress()
-        kept = connection.scalar(
-            select(SITE.c.progress).where(SITE.c.id == site_id).with_for_update(key_share=True)
-        )
+        columns = select(SITE.c.progress, SITE.c.last_slot_utc, SITE.c.late)
+        site = connection.execute(
+            columns.where(SITE.c.id == site_id).with_for_update(key_share=True)
+        ).one()
         with open_arrivals(state, as_stored=True) as arrivals:
-            if kept is None:
+            if site.progress is None:
                 progress.start(arrivals, history=True)
             else:
-                progress.take(kept)
+                progress.take(site.progress)
             rows = progress.pending(arrivals, limit)
         # The pier's database is closed: a server that takes its time keeps nothing of it.
         if rows:
-            write_rows(connection, site_id, [dict(row.values) for row in rows])
+            months = write_rows(connection, site_id, [dict(row.values) for row in rows])
             progress.note(rows)
-            _keep_progress(connection, site_id, rows, progress)
+            late = _late(site.late, months, site.last_slot_utc)
+            _keep_progress(connection, site_id, rows, progress, late)
     return len(rows)
 
 
-def write_rows(connection: Connection, site_id: int, rows: Sequence[dict[str, Any]]) -> None:
-    """Insert rows as SQLite holds them; those that are there already change nothing."""
-    make_months(connection, {row["slot_utc"][:7] for row in rows})
+def write_rows(connection: Connection, site_id: int, rows: Sequence[dict[str, Any]]) -> set[str]:
+    """Insert rows as SQLite holds them, give the months that may have changed, `2026-03`.
+
+    Rows that are there already change nothing.
+    """
+    months = {row["slot_utc"][:7] for row in rows}
+    make_months(connection, months)
     whole = [from_sqlite(MEASUREMENT, row, site_id) for row in rows]
     plain = [row for row in whole if row["redated_from_utc"] is None]
     moved = [row for row in whole if row["redated_from_utc"] is not None]
     if moved:
-        _move(connection, site_id, moved)
+        months |= _move(connection, site_id, moved)
     if plain:
         row = insert(MEASUREMENT).on_conflict_do_nothing()
         connection.execute(row, plain)
+    return months
 
 
 def make_months(connection: Connection, months: set[str]) -> None:
@@ -130,27 +148,43 @@ def make_months(connection: Connection, months: set[str]) -> None:
             connection.execute(text("SELECT dcam_month(CAST(:slot AS timestamptz))"), slot)
 
 
-def _move(connection: Connection, site_id: int, rows: Sequence[dict[str, Any]]) -> None:
-    """Put rows whose time was put right under their true slots, and take their old ones out."""
+def _move(connection: Connection, site_id: int, rows: Sequence[dict[str, Any]]) -> set[str]:
+    """Put rows whose time was put right under their true slots, and take their old ones out.
+
+    Give the months of those.
+    """
     table = MEASUREMENT.c
     taken = [(row["id"], row["boot_id"], row["uptime_s"]) for row in rows]
-    gone = connection.execute(
-        delete(MEASUREMENT).where(
-            table.site_id == site_id, tuple_(table.id, table.boot_id, table.uptime_s).in_(taken)
-        )
-    ).rowcount
+    gone = connection.scalars(
+        delete(MEASUREMENT)
+        .where(table.site_id == site_id, tuple_(table.id, table.boot_id, table.uptime_s).in_(taken))
+        .returning(table.slot_utc)
+    ).all()
     row = insert(MEASUREMENT)
     values = {name: row.excluded[name] for name in table.keys() if name != "site_id"}  # noqa: SIM118 - no mapping
     # Another's old slot may be this one's true slot: that row is on its way to its own.
     row = row.on_conflict_do_update(index_elements=["site_id", "slot_utc"], set_=values)
     connection.execute(row, rows)
     connection.execute(
-        update(SITE).where(SITE.c.id == site_id).values(rewritten=SITE.c.rewritten + max(gone, 1))
+        update(SITE)
+        .where(SITE.c.id == site_id)
+        .values(rewritten=SITE.c.rewritten + max(len(gone), 1))
     )
+    return {f"{slot_utc:%Y-%m}" for slot_utc in gone}
+
+
+def _late(late: dict[str, int], months: set[str], last_slot_utc: datetime | None) -> dict[str, int]:
+    """What `site.late` becomes where rows of these months came."""
+    newest = "" if last_slot_utc is None else f"{last_slot_utc:%Y-%m}"
+    return late | {month: late.get(month, 0) + 1 for month in months if month < newest}
 
 
 def _keep_progress(
-    connection: Connection, site_id: int, rows: Sequence[Arrival], progress: Progress
+    connection: Connection,
+    site_id: int,
+    rows: Sequence[Arrival],
+    progress: Progress,
+    late: dict[str, int],
 ) -> None:
     last = max(row.slot for row in rows)
     values = from_sqlite(MEASUREMENT, {"slot_utc": last}, site_id)
@@ -159,6 +193,7 @@ def _keep_progress(
         .where(SITE.c.id == site_id)
         .values(
             progress=progress.content(),
+            late=late,
             last_slot_utc=func.greatest(SITE.c.last_slot_utc, values["slot_utc"]),
             heard_utc=func.now(),
         )
@@ -248,13 +283,11 @@ def _mirror(connection: Connection, state: Path, table: Table, site_id: int, nam
     return len(rows)
 
 
-def put_status(
-    central: Central, site_id: int, level: int, summary: str, status: Mapping[str, Any]
-) -> None:
+def put_status(central: Central, site_id: int, said: Verdict, status: Mapping[str, Any]) -> None:
     """Keep what the pier says of itself. Raises CentralAwayError."""
     with central.transaction() as connection:
         connection.execute(
             update(SITE)
             .where(SITE.c.id == site_id)
-            .values(level=level, summary=summary, status=dict(status), heard_utc=func.now())
+            .values(**asdict(said), status=dict(status), heard_utc=func.now())
         )

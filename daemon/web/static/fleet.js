@@ -3,6 +3,7 @@
 import { below, el, getJson, svg, t, table, timeElement } from "./page.js";
 
 const mapNode = document.getElementById("map");
+const sumsNode = document.getElementById("sums");
 const listNode = document.getElementById("sites");
 const REFRESH_S = 30;
 const MOST_ROWS = 200;
@@ -98,7 +99,8 @@ const showList = () => {
 let shown = null;
 const refresh = async () => {
   try {
-    const { sites } = await getJson("/api/sites");
+    const { sites, sums } = await getJson("/api/sites");
+    sumsNode.textContent = t("sums", sums);
     const text = JSON.stringify(sites);
     if (text !== shown) {
       all = sites;

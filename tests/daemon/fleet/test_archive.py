@@ -160,6 +160,13 @@ def test_closed_months_in_s3_are_the_databases_rows(
     assert files(bucket) == first
     assert max(row["x_mm"] for row in query(bucket, QUERY)) == pytest.approx(20.1, abs=1e-5)
 
+    # A month whose rows no sync has changed is not read again.
+    database = connect_central(url, None)
+    with database.transaction() as connection:
+        connection.execute(text("UPDATE measurement SET digest = digest + 1"))
+    database.close()
+    assert "0 months of sites written with 0 rows; 1 were there; 0 t" in ctl(capsys, *archive)[2]
+
     # Written again from nothing: the same bytes.
     bucket.rm_file("bridges/dcam/written/pier%20%2F%201.json")
     assert "1 months" in ctl(capsys, *archive)[2]

@@ -7,14 +7,17 @@ import os
 import signal
 import subprocess
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 from sqlalchemy import text
 
 from benchmarks.record import fill
+from daemon.alarm.memory import Memory, Raised, keep_memory
 from daemon.ctl import cli
 from daemon.error_report import run
+from daemon.status.item import Level
 from daemon.store.central.connecting import connect_central
 from daemon.store.central.tables import MEASUREMENT
 from tests.daemon.fleet.conftest import Pier, sync
@@ -91,6 +94,9 @@ def test_sites_are_listed_worst_first(
         with database.transaction() as connection:
             said = {"level": level, "name": name}
             connection.execute(text("UPDATE site SET level = :level WHERE name = :name"), said)
+            if name == "good":
+                new = "UPDATE site SET last_slot_utc = now(), alarms = 2 WHERE name = :name"
+                connection.execute(text(new), said)
             if name == "silent":
                 late = "UPDATE site SET heard_utc = now() - interval '2 hours' WHERE name = :name"
                 connection.execute(text(late), said)
@@ -103,7 +109,17 @@ def test_sites_are_listed_worst_first(
         ("good", "ok"),
     ]
     assert code == found["code"] == 2
+    assert found["sums"] == {
+        "sites": 3,
+        "measuring": 1,
+        "stale": 1,
+        "silent": 1,
+        "alarms": 2,
+        "sites_with_alarms": 1,
+    }
     _, out, _ = ctl(capsys, "--config", config, "status", "--fleet")
+    sums = "measuring: 1; no new rows: 1; not heard from: 1; with alarms: 1 (2 raised)"
+    assert out.splitlines()[1] == sums
     assert out.startswith("DCAM CRITICAL - 3 sites: 1 ok, 1 warning, 1 critical\n")
     assert "not heard from for 2 h" in out
 
@@ -117,7 +133,13 @@ def test_a_site_is_exported_from_the_centre_as_at_its_pier(
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     state, name = pier("one", 20), site_name(config)
+    raised = Raised(id="1", level=Level.WARNING, text="full", at_utc=datetime.now(UTC))
+    keep_memory(state, Memory(raised={"disk": raised}))
     assert ctl(capsys, "--config", config, "--state", state, "sync")[0] == 0
+    (there,) = json.loads(ctl(capsys, "--config", config, "status", "--fleet", "--json")[1])[
+        "sites"
+    ]
+    assert there["alarms"] == 1
     monkeypatch.setitem(os.environ, "DCAM_STATE", str(tmp_path / "elsewhere"))
     code, there, err = ctl(capsys, "--config", config, "export", "--site", name)
     assert code == 0, err

@@ -52,6 +52,8 @@ def test_all_sites_are_a_list_a_map_and_each_its_record(
         visit.go("/")
         names = visit.page.locator("#sites tbody th").all_inner_texts()
         assert names == [NAME, "pier-2"]  # no daemon runs at the first
+        sums = "measuring: 0; no new rows: 2; not heard from: 0; with alarms: 0 (0 raised)"
+        assert visit.page.locator("#sums").inner_text() == sums
         places = [
             tuple(float(mark.get_attribute(axis) or 0) for axis in ("cx", "cy"))
             for mark in visit.page.locator(".map circle").all()

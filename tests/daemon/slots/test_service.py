@@ -51,12 +51,15 @@ def test_systemd_has_nothing_to_say_against_the_units(tmp_path: Path) -> None:
         for name in (
             *("dcamd.service", "dcam-alarm.service", TIMER, "dcam-send.service"),
             *("dcam-sync.service", "dcam-sync.timer"),
+            *("dcam-archive.service", "dcam-archive.timer"),
             "dcam-web.service",
         )
     ]
     for unit in units:
         text = (UNITS / unit.name).read_text()
-        unit.write_text(text.replace(f"{installed}/", f"{tmp_path}/"))
+        for place in (f"{installed}/", "/opt/dcam-archive/bin/"):
+            text = text.replace(place, f"{tmp_path}/")
+        unit.write_text(text)
 
     result = subprocess.run(
         ["systemd-analyze", "verify", *map(str, units)], capture_output=True, text=True, check=False
@@ -69,7 +72,7 @@ def test_systemd_has_nothing_to_say_against_the_units(tmp_path: Path) -> None:
 @needs_systemd
 @pytest.mark.parametrize(
     "name",
-    ["dcamd", "dcam-alarm", "dcam-send", "dcam-sync", "dcam-web"],
+    ["dcamd", "dcam-alarm", "dcam-archive", "dcam-send", "dcam-sync", "dcam-web"],
 )
 def test_systemd_rates_the_unit_as_locked_in(name: str) -> None:
     """At most 1.5 of 10; more would be reachable than two cameras, a serial port and its files."""
@@ -88,7 +91,7 @@ def test_systemd_rates_the_unit_as_locked_in(name: str) -> None:
     assert result.returncode == 0, result.stdout
 
 
-@pytest.mark.parametrize("name", ["alarm", "report", "send", "sync", "web"])
+@pytest.mark.parametrize("name", ["alarm", "archive", "report", "send", "sync", "web"])
 def test_on_a_busy_computer_dcamd_has_many_times_the_processor_of_its_helpers(name: str) -> None:
     """By the weight of their groups: Nice does not count between two services."""
     assert int(service()["CPUWeight"]) >= 300
