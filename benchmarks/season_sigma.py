@@ -1,4 +1,4 @@
-"""How true sigma is over many rendered seasons, each with a calibration of its own.
+"""How true sigma is over many rendered seasons, each with two calibrations of its own.
 
     python -m benchmarks.season_sigma --sites 20
 
@@ -6,12 +6,15 @@ The rows of one calibration share its error: fourteen rows are one trial of that
 the pixels' noise. So the common offset of a season's rows and their scatter about it are judged
 apart, each against its own part of sigma. Small images. Each rig bends, creeps and warms by amounts
 of its own, drawn from the stability budget that its sigma rests on. The same images are measured
-with the fixed plate and with its entry left out of the config.
+with the fixed plate and with its entry left out of the config. After the season the site is
+calibrated again, and the rows of a second season are read in the first reference's zero: linked by
+the calibration before, and through the fixed plate.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -26,7 +29,9 @@ from core.images import GreyImage
 from core.measurement import measure_pair
 from core.moment import Moment
 from core.results import Flag, Measurement
+from core.rig.reference_places import errors_at_reference
 from core.site import (
+    MAIN,
     CameraGeometry,
     CheckerboardTarget,
     CirclesTarget,
@@ -37,6 +42,17 @@ from core.site import (
     StabilityBudget,
     TargetRole,
 )
+from daemon.datum.candidates import (
+    Known,
+    NewReference,
+    SeenRow,
+    by_fixed_targets,
+    by_old_calibration,
+)
+from daemon.datum.chain import offset_by, origin
+from daemon.slots.measuring import ActiveCalibration
+from daemon.store.records import DatumRecord
+from daemon.store.rows.datum import in_record_zero
 from drivers.sim.frameset_writer import head_reach_deg
 from drivers.sim.settings import (
     Breathing,
@@ -55,7 +71,11 @@ _CENTRES_MM = np.array([[-15.0, 11.0], [15.0, 11.0], [0.0, 0.0], [-15.0, -11.0],
 _MINUTE = timedelta(minutes=1)
 _PLATE_MM = (108.0, 30.0)
 """Of the fixed plate's middle beside the main target's, at 22 m."""
-_NAMES = ("with a fixed plate", "without")
+_NAMES = (
+    *("with a fixed plate", "without"),
+    *("second season, with a fixed plate, linked by the calibration before", "without, likewise"),
+    "second season, linked through the fixed plate",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,24 +144,97 @@ def make(seed: int) -> tuple[Site, SimSettings]:
     return site, settings
 
 
-def run(rows: int, seed: int) -> tuple[Season, Season]:
-    """Calibrate one site and measure its season, with the fixed plate and without."""
+def run(rows: int, seed: int) -> tuple[Season, ...]:
+    """Calibrate one site and measure its season, with the fixed plate and without; and again."""
     site, settings = make(seed)
     world, rng = World(site, settings), np.random.default_rng([seed, 92])
-    reference_utc = settings.start_utc - 100 * _MINUTE
-    calibration = _calibrated(world, site, reference_utc, rng)
     bare = replace(site, extra_targets=())
-    without = replace(calibration, calibrated=replace(calibration.calibrated, further=()))
-    seen: tuple[list[Row], list[Row]] = ([], [])
+    begin_utc = settings.start_utc
+    reference_utc = begin_utc - 100 * _MINUTE
+    first = _calibrated(world, site, reference_utc, rng)
+    without = replace(first, calibrated=replace(first.calibrated, further=()))
+    both = ((site, first), (bare, without))
+    seen = _rows(world, rows, (begin_utc, reference_utc), both, rng)
+    again_utc = begin_utc + timedelta(days=DAYS)
+    second = _calibrated(world, site, again_utc, rng)
+    alone = replace(second, calibrated=replace(second.calibrated, further=()))
+    later = _rows(
+        world,
+        rows,
+        (again_utc + 100 * _MINUTE, reference_utc),
+        ((site, second), (bare, alone)),
+        rng,
+    )
+    travel_utc = again_utc - 60 * _MINUTE
+    last = _measured(world, travel_utc, site, first)
+    assert last.corrected is not None
+    row = SeenRow(travel_utc, last.corrected, 1, motion=last.motion)
+    zeros = [
+        _zero(world, (of, earlier, new), (reference_utc, again_utc), rows_before)
+        for (of, earlier), new, rows_before in (
+            (both[0], second, None),
+            (both[1], alone, None),
+            (both[0], second, [row]),
+        )
+    ]
+    in_zero = [
+        [(in_record_zero(found, link), truth_mm) for found, truth_mm in measured]
+        for measured, link in zip((later[0], later[1], later[0]), zeros, strict=True)
+    ]
+    return tuple(_season(seed, one) for one in (*seen, *in_zero))
+
+
+def _rows(
+    world: World,
+    rows: int,
+    since: tuple[datetime, datetime],
+    both: Sequence[tuple[Site, Calibration]],
+    rng: np.random.Generator,
+) -> list[list[Row]]:
+    """Rows of a season from a time on, against the truth since another; by site and calibration."""
+    seen: list[list[Row]] = [[] for _ in both]
     for row in range(rows):
         days = DAYS * (row + 0.3) / rows
-        t_utc = settings.start_utc + timedelta(days=days, hours=float(rng.uniform(0.0, 24.0)))
-        main, sub = (GreyImage(world.render(role, t_utc)) for role in ("main", "sub"))
-        moment = Moment(t_utc.timestamp(), world.reported_c("main", t_utc))
-        truth_mm = world.truth(t_utc, reference_utc).displacement_mm
-        for found, of, by in zip(seen, (site, bare), (calibration, without), strict=True):
-            found.append((measure_pair(main, sub, of, by, moment=moment), truth_mm))
-    return _season(seed, seen[0]), _season(seed, seen[1])
+        t_utc = since[0] + timedelta(days=days, hours=float(rng.uniform(0.0, 24.0)))
+        truth_mm = world.truth(t_utc, since[1]).displacement_mm
+        pair, moment = _pair(world, t_utc)
+        for found, (of, by) in zip(seen, both, strict=True):
+            found.append((measure_pair(*pair, of, by, moment=moment), truth_mm))
+    return seen
+
+
+def _pair(world: World, t_utc: datetime) -> tuple[tuple[GreyImage, GreyImage], Moment]:
+    main, sub = (GreyImage(world.render(role, t_utc)) for role in ("main", "sub"))
+    return (main, sub), Moment(t_utc.timestamp(), world.reported_c("main", t_utc))
+
+
+def _measured(world: World, t_utc: datetime, site: Site, by: Calibration) -> Measurement:
+    pair, moment = _pair(world, t_utc)
+    return measure_pair(*pair, site, by, moment=moment)
+
+
+def _zero(
+    world: World,
+    calibrations: tuple[Site, Calibration, Calibration],
+    times_utc: tuple[datetime, datetime],
+    rows: Sequence[SeenRow] | None,
+) -> DatumRecord:
+    """The link of a second calibration: by the first, or through the fixed plate."""
+    site, old, second = calibrations
+    zero = origin(times_utc[0], times_utc[0], errors_at_reference(old.calibrated, site.sub))
+    known = Known(ActiveCalibration(1, old, zero), times_utc[0])
+    pair, moment = _pair(world, times_utc[1])
+    errors = errors_at_reference(second.calibrated, site.sub)
+    new = NewReference(times_utc[1], *pair, second, moment, None, errors=errors)
+    if rows is None:
+        found = by_old_calibration(known, new, site, board_untouched=True)[0]
+    else:
+        found = by_fixed_targets(known, new, site, rows)
+    assert found is not None
+    solved = offset_by(found.step, zero, errors)
+    shared = {} if solved.shared is None else {MAIN: solved.shared}
+    method, steps = found.step.method, (found.step,)
+    return DatumRecord(method, solved.offset, steps, times_utc[1], errors=errors, shared=shared)
 
 
 Row = tuple[Measurement, FloatArray]
@@ -218,7 +311,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     asked = parser.parse_args()
     seeds = range(asked.seed, asked.seed + asked.sites)
-    both: tuple[list[Season], list[Season]] = ([], [])
+    both: list[list[Season]] = [[] for _ in _NAMES]
     with ProcessPoolExecutor(asked.jobs) as pool:
         for pair in pool.map(partial(run, asked.rows), seeds):
             for seasons, season, name in zip(both, pair, _NAMES, strict=True):
