@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
@@ -20,6 +20,7 @@ from core.geometry.pose import Pose
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.calibrated_target import CalibratedTarget
 from core.rig.propagation import DiscCombination
+from core.rig.reference_errors import ReferenceErrors
 from core.rig.stability import Term
 from core.site import Site
 
@@ -98,6 +99,18 @@ class Expanded:
 
 
 @dataclass(frozen=True, slots=True)
+class DatumPart:
+    """The datum of a row's calibration."""
+
+    covariance_mm2: FloatArray
+    """(2, 2)."""
+    errors: ReferenceErrors | None = None
+    """Of the reference, which are in row and datum alike; None: not known."""
+    shared: FloatArray | None = None
+    """(m, 2) covariance of these errors with the datum."""
+
+
+@dataclass(frozen=True, slots=True)
 class BudgetModel:
     """The measurement model at a row, with the parts of its errors: what a Monte Carlo draws."""
 
@@ -119,7 +132,12 @@ class BudgetModel:
     rows: tuple[slice, ...]
     places_px: tuple[FloatArray, ...]
     """(2,) where the discs of each target are in the row, in the mean."""
-    datum_mm2: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
+    datum_mm2: FloatArray
+    """(2, 2) of the datum, beside the two next ones."""
+    datum_by_calibration_mm: FloatArray
+    """(2, r) how the datum follows the posterior's columns."""
+    datum_by_places_mm: FloatArray
+    """(2, m) how it follows the targets' values (px, rad) at the reference."""
 
 
 @dataclass(frozen=True, slots=True)

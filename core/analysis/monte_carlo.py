@@ -141,7 +141,8 @@ def _root(covariance: FloatArray) -> FloatArray:
 
 def _trial(model: BudgetModel, truth: _Truth, rng: np.random.Generator) -> FloatArray:
     """(2,) the error of one trial's displacement, mm."""
-    calibrated = _erring(model.calibrated, truth, rng)
+    z = rng.standard_normal((model.calibrated.posterior.lens.shape[1],))
+    calibrated = _erring(model.calibrated, truth, z, rng)
     images = _changed_images(model, truth, rng)
     pose = resect(
         calibrated.lens,
@@ -152,7 +153,7 @@ def _trial(model: BudgetModel, truth: _Truth, rng: np.random.Generator) -> Float
     ).pose
     motion = pose.compose(calibrated.reference_pose.inverse())
     motion = motion.perturbed(truth.motion_root @ rng.standard_normal(6))
-    values = np.empty(len(model.own_mm))
+    values, datum_mm = np.empty(len(model.own_mm)), model.datum_by_calibration_mm @ z
     plainness = rng.standard_normal(2)
     further = {target.name: target for target in calibrated.further}
     for number, (combination, rows) in enumerate(zip(model.combinations, model.rows, strict=True)):
@@ -162,7 +163,9 @@ def _trial(model: BudgetModel, truth: _Truth, rng: np.random.Generator) -> Float
         noise = rng.standard_normal((len(which), 2)) @ truth.disc_roots[number].T
         if name != MAIN:
             sigma_px = np.sqrt(target.reference_px2[which])[:, None]
-            noise = noise + sigma_px * rng.standard_normal((len(which), 2))
+            of_reference = sigma_px * rng.standard_normal((len(which), 2))
+            datum_mm = datum_mm - model.datum_by_places_mm[:, rows] @ combination.of(of_reference)
+            noise = noise + of_reference
         miss = images[number] + noise - target.reference_px[which] - prediction.shift_px
         values[rows] = combination.of(miss)
         values[rows] += geometry_errors([replace(combination, prediction=prediction)]) @ plainness
@@ -170,13 +173,14 @@ def _trial(model: BudgetModel, truth: _Truth, rng: np.random.Generator) -> Float
         B = turned_B(calibrated, target, motion)
         values[shift] = np.linalg.solve(B, values[shift])
     values += model.own_mm * rng.standard_normal(len(values))
-    return np.asarray(model.keep_mm @ np.linalg.inv(model.to_mm) @ values)
+    return np.asarray(model.keep_mm @ np.linalg.inv(model.to_mm) @ values + datum_mm)
 
 
-def _erring(calibrated: CalibratedSite, truth: _Truth, rng: np.random.Generator) -> CalibratedSite:
-    """A calibration that errs as its posterior says."""
+def _erring(
+    calibrated: CalibratedSite, truth: _Truth, z: FloatArray, rng: np.random.Generator
+) -> CalibratedSite:
+    """A calibration that errs as its posterior says, by its columns' draws z (r,)."""
     posterior, index = calibrated.posterior, truth.view.index
-    z = rng.standard_normal(posterior.lens.shape[1])
     corners_mm = calibrated.corners_mm + posterior.corners @ z
     own = truth.corner_roots @ rng.standard_normal((len(index), 2, 1))
     corners_mm[index, :2] += own[:, :, 0]

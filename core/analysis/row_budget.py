@@ -8,17 +8,17 @@ carries.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import optimize
 
-from core.analysis.budget import RELIABILITY, Budget, BudgetModel, Input, RowState
+from core.analysis.budget import RELIABILITY, Budget, BudgetModel, DatumPart, Input, RowState
+from core.analysis.datum_budget import by_reference_input, link_of, places_root, rest_input
 from core.arrays import FloatArray
 from core.checkerboard.resection import BoardView
 from core.geometry.pose import Pose
-from core.results import Displacement
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.calibrated_target import CalibratedTarget
 from core.rig.posterior import Sensitivities
@@ -47,6 +47,9 @@ _BUDGET_KEYS = (
     ("air_gradient_k_per_m", "K/m"),
 )
 """The key of [stability] behind each of `stability_terms`, and its unit."""
+_REFERENCE_POSE = "reference: noise of the board's pose"
+_REFERENCE_PLACES = "reference: places of the discs"
+_FURTHER_PLACES = "reference: places of the fixed targets' discs"
 _LEAST_SHARE, _MOST_SHARE = 1e-4, 4.0
 """Of the noise that the raw displacement shows, for that of the corrected one's discs."""
 
@@ -56,7 +59,7 @@ def row_budget(
     calibrated: CalibratedSite,
     row: RowState,
     terms: Sequence[Term],
-    datum: Displacement | None = None,
+    datum: DatumPart | None = None,
 ) -> Budget:
     """Split what a row's sigma is made of by cause; terms are `stability_terms` at the row.
 
@@ -67,14 +70,19 @@ def row_budget(
     errors = _value_errors(site, calibrated, row, terms, pose, view)
     share = errors.disc_share(row.image_mm2)
     keep = errors.keep(share)
+    parts = _calibration_parts(site, calibrated, errors.sensitivities)
+    names = [one.target.name for one in errors.combinations]
+    of_reference = parts[_REFERENCE_POSE] + parts[_REFERENCE_PLACES]
+    linked = link_of(datum, names, errors.to_mm, of_reference)
     inputs = (
         _discs_input(errors.discs(share), keep, main_scale(calibrated.B), errors.disc_count),
         _pose_input(errors.corners, keep, row.corners or len(view.index)),
-        *_calibration_inputs(site, calibrated, errors.sensitivities, keep),
-        _unmodelled_input(calibrated, errors.sensitivities, keep),
+        *_calibration_inputs(parts, errors.places_root_px, keep),
+        *([] if datum is None else [by_reference_input(linked, errors.places_root_px)]),
+        _unmodelled_input(calibrated, errors, keep),
         *_stability_inputs(site, terms, keep @ errors.effects),
         *_fixed_target_inputs(errors, keep),
-        *([] if datum is None else [_datum_input(datum)]),
+        *([] if datum is None else [rest_input(linked)]),
     )
     model = BudgetModel(
         site=site,
@@ -90,7 +98,9 @@ def row_budget(
         to_mm=errors.to_mm,
         rows=errors.rows,
         places_px=errors.places_px,
-        datum_mm2=np.zeros((2, 2)) if datum is None else datum.covariance_mm2,
+        datum_mm2=linked.rest_mm2,
+        datum_by_calibration_mm=linked.by_calibration_mm,
+        datum_by_places_mm=linked.by_places_mm,
     )
     return Budget(inputs, main_scale(calibrated.B), model)
 
@@ -112,6 +122,8 @@ class _ValueErrors:
     """(m, m)."""
     sensitivities: Sensitivities
     """To what was calibrated."""
+    places_root_px: FloatArray
+    """(m, q) root of the covariance of further targets' places in the reference."""
     effects: FloatArray
     """(m, 6) of the state that `core.rig.stability` has terms for."""
     stability: FloatArray
@@ -196,6 +208,7 @@ def _value_errors(
         corners=by_motion @ row.motion_covariance @ by_motion.T,
         calibration=sensitivities.covariance(calibrated.posterior),
         sensitivities=sensitivities,
+        places_root_px=places_root(combinations),
         effects=effects,
         stability=sum((effects @ t.covariance @ effects.T for t in terms), none),
         to_mm=_to_mm(calibrated, targets, rows, row.motion),
@@ -287,10 +300,10 @@ def _pose_input(corners: FloatArray, keep: FloatArray, count: int) -> Input:
     return Input(name, "A", "normal", "mm", keep @ corners @ keep.T, max(2.0 * count - 6.0, 1.0))
 
 
-def _calibration_inputs(
-    site: Site, calibrated: CalibratedSite, sensitivities: Sensitivities, keep: FloatArray
-) -> list[Input]:
-    """The adjusted quantities, each with what it does to row and reference alike taken together.
+def _calibration_parts(
+    site: Site, calibrated: CalibratedSite, sensitivities: Sensitivities
+) -> dict[str, FloatArray]:
+    """(m, r) of each adjusted quantity: what it does to row and reference alike taken together.
 
     An error of lens or board moves the reference's pose and the row's; what is left of the
     reference is its own noise.
@@ -318,9 +331,8 @@ def _calibration_inputs(
         "lens of the sub-camera": sensitivities.by_lens @ posterior.lens
         + through @ reference_by_lens,
         "print and flatness of the board": seen + through @ reference_by_board,
-        "reference: noise of the board's pose": through
-        @ (posterior.reference - reference_by_lens - reference_by_board),
-        "reference: places of the discs": discs,
+        _REFERENCE_POSE: through @ (posterior.reference - reference_by_lens - reference_by_board),
+        _REFERENCE_PLACES: discs,
     }
     names = (
         {
@@ -332,11 +344,21 @@ def _calibration_inputs(
         else {"the nine parameters": slice(0, 9)}
     )
     parts |= {name: models[:, at] @ posterior.model[at] for name, at in names.items()}
-    found = []
+    return parts
+
+
+def _calibration_inputs(
+    parts: Mapping[str, FloatArray], places_root_px: FloatArray, keep: FloatArray
+) -> list[Input]:
+    """The adjusted quantities, and behind their columns the fixed targets' discs' places."""
+    found, more = [], places_root_px.shape[1]
     for name, factor in parts.items():
-        mm = keep @ factor
+        mm = np.pad(keep @ factor, ((0, 0), (0, more)))
         evaluation = "A, B" if "between" in name or "distance" in name else "A"
         found.append(Input(name, evaluation, "normal", "mm", mm @ mm.T, factor_mm=mm))
+    if more:
+        mm = np.pad(-keep @ places_root_px, ((0, 0), (factor.shape[1], 0)))
+        found.append(Input(_FURTHER_PLACES, "A", "normal", "mm", mm @ mm.T, factor_mm=mm))
     return found
 
 
@@ -352,11 +374,10 @@ def _stability_inputs(site: Site, terms: Sequence[Term], effects: FloatArray) ->
     return found
 
 
-def _unmodelled_input(
-    calibrated: CalibratedSite, sensitivities: Sensitivities, keep: FloatArray
-) -> Input:
+def _unmodelled_input(calibrated: CalibratedSite, errors: _ValueErrors, keep: FloatArray) -> Input:
     name = "corners of the board, each by itself; plainness of the main camera's model"
-    own = sensitivities.own(calibrated.posterior)
+    root = errors.places_root_px
+    own = errors.sensitivities.own(calibrated.posterior) - root @ root.T
     return Input(name, "B", "normal", "mm", keep @ own @ keep.T)
 
 
@@ -368,8 +389,3 @@ def _fixed_target_inputs(errors: _ValueErrors, keep: FloatArray) -> list[Input]:
     covariance = left @ np.diag(errors.own_mm**2) @ left.T
     name = "fixed targets' own movement"
     return [Input(name, "B", "normal", "mm", covariance, _estimated())]
-
-
-def _datum_input(datum: Displacement) -> Input:
-    name = "datum: the calibration's reference in the record's zero"
-    return Input(name, "A, B", "normal", "mm", datum.covariance_mm2)

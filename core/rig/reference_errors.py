@@ -6,12 +6,12 @@ this same reference: the noise of its images is in both, with opposite signs.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import FloatArray
+from core.arrays import FloatArray, IntArray
 
 Gains = Mapping[str, FloatArray]
 """(2, 4) by a fixed target's name: so much of its shift (mm), turn (rad) and relative change of
@@ -48,6 +48,12 @@ class ReferenceErrors:
             for name, size in zip(self.names, self.sizes, strict=True)
         ]
         return np.concatenate(parts, axis=1)
+
+    def places(self, targets: Sequence[str]) -> IntArray:
+        """Indices of all values of some targets, in their order."""
+        ends = dict(zip(self.names, np.cumsum(self.sizes).tolist(), strict=True))
+        sizes = dict(zip(self.names, self.sizes, strict=True))
+        return np.concatenate([np.arange(ends[n] - sizes[n], ends[n]) for n in targets])
 
     @property
     def has_fixed(self) -> bool:

@@ -15,19 +15,19 @@ import numpy as np
 import core
 import daemon
 import drivers
-from core.analysis.budget import Budget, RowState
+from core.analysis.budget import Budget, DatumPart, RowState
 from core.analysis.monte_carlo import MonteCarlo, monte_carlo
 from core.analysis.row_budget import row_budget
 from core.arrays import FloatArray
 from core.calibration.calibrate import Calibration
 from core.errors import CalibrationError
 from core.geometry.pose import Pose
-from core.results import Displacement, Measurement, Reason, TargetMeasurement
+from core.results import Displacement, Measurement, Reason, TargetMeasurement, gains_for
 from core.rig.stability import Term, main_scale, stability_terms, total_covariance
 from core.site import MAIN, Site, TargetRole
 from daemon.store.database import Store
 from daemon.store.records import CalibrationRecord, DatumRecord, MeasurementRecord
-from daemon.store.rows.datum import in_record_zero
+from daemon.store.rows.datum import in_record_zero, needs_gains
 
 TRIALS = 5000
 """Of the Monte Carlo in a report, at most: its standard deviation is then known to 1.0 %."""
@@ -86,8 +86,8 @@ def make_statement(
     if MAIN not in state.raw_mm2:
         return "the row has no raw displacement"
     terms = _terms(site, calibration, record, state)
-    offset = None if datum is None or not datum.steps else datum.offset
-    budget = row_budget(site, calibration.calibrated, state, terms, offset)
+    part = _datum_part(datum, record.measurement)
+    budget = row_budget(site, calibration.calibrated, state, terms, part)
     value = in_record_zero(record.measurement, datum).corrected
     assert value is not None  # noqa: S101 - it has one as stored
     drawn = monte_carlo(budget, trials, np.random.default_rng(_SEED), tell) if trials else None
@@ -111,6 +111,15 @@ def _row_state(measurement: Measurement) -> RowState:
         measurement.diagnostics.corners_used,
         None if measurement.corrected is None else measurement.corrected.by_image_mm2,
     )
+
+
+def _datum_part(datum: DatumRecord | None, measurement: Measurement) -> DatumPart | None:
+    if datum is None or not datum.steps:
+        return None
+    covariance_mm2, shared = datum.offset.covariance_mm2, datum.shared.get(MAIN)
+    if needs_gains(datum) and gains_for(MAIN, measurement.targets) is None:
+        return DatumPart(covariance_mm2)
+    return DatumPart(covariance_mm2, datum.errors, shared)
 
 
 def _is_believed(target: TargetMeasurement) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.analysis.budget import Budget, RowState, coverage_factor, two_digits
+from core.analysis.budget import Budget, DatumPart, RowState, coverage_factor, two_digits
 from core.analysis.monte_carlo import monte_carlo
 from core.analysis.row_budget import row_budget
 from core.checkerboard.resection import BoardPose
@@ -19,14 +19,16 @@ from core.moment import Moment
 from core.results import Measurement
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.calibrated_target import CalibratedTarget
-from core.rig.closure import close, joint_shifts
+from core.rig.closure import close, gains_of, joint_shifts
 from core.rig.compensation import SeenTarget, raw_displacement, remaining_shifts, rig_motion
 from core.rig.propagation import expected_view, predict_shift_of
+from core.rig.reference_places import errors_at_reference
 from core.rig.stability import Term, main_scale, stability_terms
 from core.site import ExtraTarget, Site, TargetRole
 from tests.core.scenes import MINUTE, reference_utc
 from tests.core.sessions import Session
 
+LINK_GAIN = np.array([[0.95, 0.0, 3.0, -40.0], [0.0, 0.95, 40.0, 3.0]])
 MONTH_S = 30 * 86400.0
 
 
@@ -101,7 +103,7 @@ def test_estimated_causes_widen_the_coverage_factor(usual: Session) -> None:
         )
 
 
-def with_fixed_plate(session: Session) -> tuple[Site, CalibratedSite]:
+def with_fixed_plate(session: Session, stable_mm: float) -> tuple[Site, CalibratedSite]:
     """The same site with a plate on the abutment, 45 mm beside the main target."""
     calibrated = session.calibration.calibrated
     place_px = calibrated.main_target.middle_px + np.array([250.0, 20.0])
@@ -110,7 +112,7 @@ def with_fixed_plate(session: Session) -> tuple[Site, CalibratedSite]:
         *("abutment", TargetRole.FIXED, reference_px, np.full(4, 1e-6), calibrated.B),
         *(11500.0, 20.0),
     )
-    extra = ExtraTarget("abutment", TargetRole.FIXED, session.site.main_target, stable_mm=0.02)
+    extra = ExtraTarget("abutment", TargetRole.FIXED, session.site.main_target, stable_mm=stable_mm)
     return replace(session.site, extra_targets=(extra,)), replace(calibrated, further=(plate,))
 
 
@@ -123,9 +125,14 @@ def seen(calibrated: CalibratedSite, target: CalibratedTarget, motion: Pose) -> 
     return SeenTarget(target, Discs(np.ones(n, bool), points, noise, np.ones(n), 100.0, 1.0))
 
 
-def conditioned(session: Session) -> tuple[Budget, np.ndarray, np.ndarray]:
-    """Budget with a fixed plate; sigma that the program gives with it, and without."""
-    site, calibrated = with_fixed_plate(session)
+def conditioned(
+    session: Session, *, stable_mm: float = 0.02, linked: bool = False
+) -> tuple[Budget, np.ndarray, np.ndarray]:
+    """Budget with a fixed plate; sigma that the program gives with it, and without.
+
+    linked: in the zero of a record of which it is the second calibration.
+    """
+    site, calibrated = with_fixed_plate(session, stable_mm)
     motion = Pose.from_vectors(np.array([2e-4, -4e-4, 1e-4]), np.array([0.3, -0.2, 0.1]))
     pose = motion.compose(calibrated.reference_pose)
     view = expected_view(calibrated, site.sub, pose)
@@ -145,7 +152,18 @@ def conditioned(session: Session) -> tuple[Budget, np.ndarray, np.ndarray]:
     places = {name: one.mm for name, one in raw.items()}
     own = rig_motion(calibrated, board)
     row = RowState(motion, own.covariance, covariances, places, ("abutment",), len(view.index))
-    return row_budget(site, calibrated, row, terms), both, alone
+    if not linked:
+        return row_budget(site, calibrated, row, terms), both, alone
+    known = errors_at_reference(calibrated, site.sub)
+    by_link = known.by_values("main", {"abutment": LINK_GAIN})
+    by_row = known.by_values("main", gains_of(joint, ["abutment"], "main"))
+    assert by_link is not None
+    assert by_row is not None
+    shared = known.covariance @ by_link.T
+    part = DatumPart(by_link @ shared + 1e-6 * np.eye(2), known, shared)
+    common = by_row @ shared
+    both = both + part.covariance_mm2 - common - common.T
+    return row_budget(site, calibrated, row, terms, part), both, alone
 
 
 def test_a_fixed_plate_takes_the_common_causes_off_in_the_budget_too(usual: Session) -> None:
@@ -158,10 +176,24 @@ def test_a_fixed_plate_takes_the_common_causes_off_in_the_budget_too(usual: Sess
     assert own.contribution_mm(1) == pytest.approx(0.02, rel=0.3)
 
 
-@pytest.mark.parametrize("fixed", [False, True], ids=["alone", "with a fixed plate"])
-def test_a_monte_carlo_of_the_model_agrees_with_the_budget(usual: Session, fixed: bool) -> None:
+def test_what_a_row_shares_with_its_datum_is_in_the_budget_with_its_sign(usual: Session) -> None:
+    budget, both, _ = conditioned(usual, stable_mm=0.0, linked=True)
+    sigma_mm = np.sqrt(np.diag(budget.covariance_mm2))
+    assert sigma_mm == pytest.approx(np.sqrt(np.diag(both)), rel=0.005)
+    squares = sum(one.covariance_mm2 for one in budget.inputs if "datum" in one.name)
+    apart = conditioned(usual, stable_mm=0.0)[0].covariance_mm2 + squares
+    assert (sigma_mm < 0.99 * np.sqrt(np.diag(apart))).all()
+
+
+@pytest.mark.parametrize(
+    "fixed", [False, True, "linked"], ids=["alone", "with a fixed plate", "in a record's zero"]
+)
+def test_a_monte_carlo_of_the_model_agrees_with_the_budget(
+    usual: Session, fixed: bool | str
+) -> None:
     if fixed:
-        budget = conditioned(usual)[0]
+        linked = fixed == "linked"
+        budget = conditioned(usual, stable_mm=0.0 if linked else 0.02, linked=linked)[0]
     else:
         found, terms = measured(usual, stable=False)
         budget = row_budget(usual.site, usual.calibration.calibrated, state_of(found), terms)
