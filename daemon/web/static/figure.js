@@ -4,11 +4,12 @@ import { el, epoch, getJson, iso, midnight, recall, remember, t, timeText } from
 import { listen } from "./gestures.js";
 import { forgetColours } from "./lines.js";
 import { AXIS_PX, Panel } from "./panel.js";
-import { laneRows, readSpans, spansAt } from "./spans.js";
+import { laneRows, readSpans, shadedByKind, slide, spansAt } from "./spans.js";
 
 const SHORTEST_S = 60;
 const LONGEST_S = 11 * 366 * 86400;
 const SETTLE_MS = 60;
+const SPANS_PX = 2; // flags and gaps nearer to each other are one: a long record has thousands
 const PRESETS = [["1h", 3600], ["24h", 86400], ["7d", 604800], ["30d", 30 * 86400], ["1y", 365 * 86400], ["all", null]];
 
 /** The figures that an overview's points and readings allow. */
@@ -66,6 +67,7 @@ export class RecordFigure {
     this.makeTools();
     this.placePanels();
     new ResizeObserver(() => this.resized()).observe(this.panelBox);
+    this.sight = new IntersectionObserver((entries) => this.seen(entries), { rootMargin: "100px" });
     addEventListener("hashchange", () => {
       const asked = this.fromAddress();
       if (asked && (asked[0] !== Math.round(this.since) || asked[1] !== Math.round(this.until))) this.go(...asked);
@@ -119,6 +121,8 @@ export class RecordFigure {
     this.panels = this.specs.filter(({ id }) => this.chosen.has(id)).map((spec) => there.get(spec.id) ?? new Panel(spec, hooks));
     for (const panel of there.values()) if (!this.panels.includes(panel)) panel.u?.destroy();
     for (const panel of this.panels) panel.lay(this.reference, this.marks);
+    this.sight?.disconnect();
+    for (const { node } of this.panels) this.sight?.observe(node);
     this.again();
   }
 
@@ -232,8 +236,23 @@ export class RecordFigure {
 
   draw() {
     this.frame = null;
-    for (const panel of this.panels) panel.move(this.since, this.until, this.width);
-    queueMicrotask(() => this.drawLanes()); // uPlot lays a new drawing out in a microtask
+    for (const panel of this.panels) if (!panel.u || panel.inSight) this.drawPanel(panel);
+    if (this.laid) slide(this.lanes, this.laid, this.since, this.until);
+    else queueMicrotask(() => this.drawLanes()); // uPlot lays a new drawing out in a microtask
+  }
+
+  drawPanel(panel) {
+    panel.move(this.since, this.until, this.width);
+  }
+
+  /** Draw what comes into sight: those out of it wait until the figures rest. */
+  seen(entries) {
+    for (const { target, isIntersecting } of entries) {
+      const panel = this.panels.find(({ node }) => node === target);
+      if (!panel) continue;
+      panel.inSight = isIntersecting;
+      if (isIntersecting && panel.u) this.drawPanel(panel);
+    }
   }
 
   get drawn() {
@@ -268,13 +287,14 @@ export class RecordFigure {
     try {
       const [answer, spans] = await Promise.all([
         getJson("/api/series", { quantities: quantities.join(","), ...window, buckets: Math.round(2 * this.widthPx()) }, signal),
-        getJson("/api/spans", { ...window, resolution: Math.max(1, Math.round(this.wantedS())) }, signal),
+        getJson("/api/spans", { ...window, resolution: Math.max(1, Math.round(SPANS_PX * this.wantedS())) }, signal),
         this.chart,
       ]);
       this.answer = answer;
       this.asked = asked;
       this.spans = readSpans(spans);
-      for (const panel of this.panels) panel.show(answer, this.spans);
+      const shaded = shadedByKind(this.spans);
+      for (const panel of this.panels) panel.show(answer, shaded);
       this.draw();
       this.tell(t("readout_hint"));
       this.settle();
@@ -287,10 +307,12 @@ export class RecordFigure {
     }
   }
 
-  /** All that need not follow each move: the address, the texts, the tables. */
+  /** All that need not follow each move: the marks, the address, the texts, the tables. */
   settle() {
     clearTimeout(this.settling);
     this.settling = setTimeout(() => {
+      for (const panel of this.drawn) if (!panel.inSight) this.drawPanel(panel);
+      this.drawLanes();
       history.replaceState(null, "", `#since=${iso(Math.round(this.since))}&until=${iso(Math.round(this.until))}`);
       this.from.value = timeText(this.since, "day");
       this.to.value = timeText(this.until - 1, "day");
@@ -329,6 +351,7 @@ export class RecordFigure {
     const place = first.u.over.getBoundingClientRect();
     const focused = document.activeElement?.dataset?.key;
     const tell = (text) => this.tell(text);
+    this.laid = { since: this.since, until: this.until };
     this.lanes.replaceChildren(...laneRows(this.spans, this.since, this.until, place.left - left, place.width, tell, (span) => this.zoomTo(span)));
     if (focused) this.lanes.querySelector(`[data-key="${focused}"]`)?.focus({ preventScroll: true });
   }

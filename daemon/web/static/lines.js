@@ -51,38 +51,45 @@ const placesOf = ({ bbox, scales }) => {
   return [(time) => bbox.left + across * (time - scales.x.min), (value) => bbox.top + up * (scales.y.max - value), across];
 };
 
-/** Where buckets lie, and how far they reach: columns of whole pixels, so that the thinnest is as dark
- * as the others, and from each to the next one without a break. */
-const columnsOf = (x, y, half, { min, max }, times, [first, last]) => {
-  const found = [];
-  for (let n = first; n <= last; n += 1) {
-    const left = Math.round(x(times[n]) - half);
-    const right = Math.max(left + 1, Math.round(x(times[n]) + half));
+const columns = { left: [], right: [], top: [], bottom: [] };
+
+/** Where the buckets of a run lie, and how far they reach: columns of whole pixels, so that the thinnest is
+ * as dark as the others, and from each to the next one without a break. In `columns`, which all runs share. */
+const placeColumns = (x, y, half, { min, max }, times, first, last) => {
+  const count = last - first + 1;
+  if (columns.left.length < count) {
+    for (const name of Object.keys(columns)) columns[name] = new Float64Array(2 * count);
+  }
+  const { left, right, top, bottom } = columns;
+  const least = WIDTH_PX * devicePixelRatio;
+  for (let k = 0; k < count; k += 1) {
+    const n = first + k;
+    left[k] = Math.round(x(times[n]) - half);
+    right[k] = Math.max(left[k] + 1, Math.round(x(times[n]) + half));
     const [high, low] = [y(max[n]), y(min[n])];
-    const spare = Math.max(0, (WIDTH_PX * devicePixelRatio - (low - high)) / 2);
-    found.push({ n, left, right, top: high - spare, bottom: low + spare });
+    const spare = Math.max(0, (least - (low - high)) / 2);
+    top[k] = high - spare;
+    bottom[k] = low + spare;
+    if (k && top[k] > bottom[k - 1]) bottom[k - 1] = top[k];
+    else if (k && bottom[k] < top[k - 1]) top[k - 1] = bottom[k];
   }
-  for (let k = 1; k < found.length; k += 1) {
-    const [before, after] = [found[k - 1], found[k]];
-    if (after.top > before.bottom) before.bottom = after.top;
-    if (after.bottom < before.top) before.top = after.bottom;
-  }
-  return found;
+  return columns;
 };
 
-const drawColumns = (ctx, x, y, half, line, times, run, [ink, shade]) => {
-  const columns = columnsOf(x, y, half, line, times, run);
+const drawColumns = (ctx, x, y, half, line, times, [first, last], [ink, shade]) => {
+  const { left, right, top, bottom } = placeColumns(x, y, half, line, times, first, last);
   if (line.sigma) {
     ctx.fillStyle = shade;
     let drawn = -Infinity; // shades that overlap would be darker there
-    for (const { n, left, right } of columns) {
-      const [top, from] = [y(line.max[n] + SIGMAS * (line.sigma[n] ?? 0)), Math.max(left, drawn)];
-      ctx.fillRect(from, top, right - from, y(line.min[n] - SIGMAS * (line.sigma[n] ?? 0)) - top);
-      drawn = Math.max(drawn, right);
+    for (let n = first; n <= last; n += 1) {
+      const [k, reach] = [n - first, SIGMAS * (line.sigma[n] ?? 0)];
+      const [high, from] = [y(line.max[n] + reach), Math.max(left[k], drawn)];
+      ctx.fillRect(from, high, right[k] - from, y(line.min[n] - reach) - high);
+      drawn = Math.max(drawn, right[k]);
     }
   }
   ctx.fillStyle = ink;
-  for (const { left, right, top, bottom } of columns) ctx.fillRect(left, top, right - left, bottom - top);
+  for (let k = 0; k <= last - first; k += 1) ctx.fillRect(left[k], top[k], right[k] - left[k], bottom[k] - top[k]);
 };
 
 /** Call for pieces of a run, each of which begins with the last value of the one before. */

@@ -18,7 +18,6 @@ const readLine = (line, answer) => {
     min: value ?? scaled(series.min) ?? [],
     max: value ?? scaled(series.max) ?? [],
     mean: value ?? scaled(series.mean) ?? [],
-    count: series.count,
     sigma: scaled(sigma.value ?? sigma.max),
   };
 };
@@ -36,9 +35,10 @@ export class Panel {
   constructor(spec, hooks) {
     this.spec = spec;
     this.hooks = hooks;
+    this.inSight = true;
     this.since = 0;
     this.until = 1;
-    this.spans = [];
+    this.spans = new Map();
     this.times = [];
     this.marks = [];
     this.lines = spec.lines.map(() => ({ min: [], max: [], mean: [] }));
@@ -106,7 +106,7 @@ export class Panel {
     this.u?.redraw(false, true);
   }
 
-  /** Show an answer of /api/series. */
+  /** Show an answer of /api/series, and spans as those of each kind. */
   show(answer, spans) {
     const half = answer.span_s / 2;
     this.spanS = answer.span_s;
@@ -209,14 +209,15 @@ export class Panel {
     const across = u.bbox.width / (this.until - this.since);
     const x = (time) => u.bbox.left + across * (Math.min(Math.max(time, this.since), this.until) - this.since);
     clipped(u, (ctx, bbox) => {
-      for (const span of this.spans) {
-        if (span.end < this.since || span.start > this.until || span.kind === "event") continue;
-        const half = span.kind === "datum" ? 0 : (this.step ?? 0) / 2;
-        const left = x(span.start - half);
-        const width = Math.max(x(span.end + half) - left, devicePixelRatio);
-        ctx.fillStyle = colour(`--span-${span.kind}`);
-        if (span.lane === "flag") ctx.fillRect(left, bbox.top + bbox.height - strip, width, strip);
-        else ctx.fillRect(left, bbox.top, width, bbox.height);
+      for (const [kind, spans] of this.spans) {
+        const half = kind === "datum" ? 0 : (this.step ?? 0) / 2;
+        const high = spans[0].lane === "flag" ? strip : bbox.height;
+        ctx.fillStyle = colour(`--span-${kind}`);
+        for (const { start, end } of spans) {
+          if (end < this.since || start > this.until) continue;
+          const left = x(start - half);
+          ctx.fillRect(left, bbox.top + bbox.height - high, Math.max(x(end + half) - left, devicePixelRatio), high);
+        }
       }
     });
   }

@@ -6,33 +6,59 @@ const LANES = ["gap", "flag", "ledger", "event"];
 const MOST = 60; // what a keyboard can step through
 const NEAR_PX = 9;
 
-/** One list of {lane, kind, start, end, text} of an answer of /api/spans. */
+/** A stretch of time with its text, which is made when it is first wanted: of most it never is. */
+class Span {
+  #say;
+  #text = null;
+
+  constructor(lane, kind, start, end, say) {
+    Object.assign(this, { lane, kind, start, end });
+    this.#say = say;
+  }
+
+  get text() {
+    return (this.#text ??= this.#say());
+  }
+}
+
+/** The spans of an answer of /api/spans, as they begin. */
 export const readSpans = (answer) => {
   const found = [];
-  const add = (lane, kind, start, end, text) => {
+  const add = (lane, kind, start, end, say) => {
     const from = epoch(start);
-    found.push({ lane, kind, start: from, end: Math.max(from, epoch(end) ?? from), text });
+    found.push(new Span(lane, kind, from, Math.max(from, epoch(end) ?? from), say));
   };
   for (const gap of answer.gaps ?? []) {
-    const slots = gap.slots ? `, ${t("slots", { count: gap.slots })}` : "";
-    add("gap", "gap", gap.start, gap.end, `${t("gap")}: ${gap.cause}${slots}`);
+    const slots = () => (gap.slots ? `, ${t("slots", { count: gap.slots })}` : "");
+    add("gap", "gap", gap.start, gap.end, () => `${t("gap")}: ${gap.cause}${slots()}`);
   }
   for (const run of answer.flags ?? []) {
-    const reasons = Array.isArray(run.reasons) ? run.reasons.join(" + ") : run.reasons;
-    add("flag", `flag-${run.flag}`, run.start, run.end, `${t(`flag_${run.flag}`)}: ${reasons}`);
+    const reasons = () => (Array.isArray(run.reasons) ? run.reasons.join(" + ") : run.reasons);
+    add("flag", `flag-${run.flag}`, run.start, run.end, () => `${t(`flag_${run.flag}`)}: ${reasons()}`);
   }
   for (const entry of answer.ledger ?? []) {
     const by = entry.author ? ` (${entry.author})` : "";
     add("ledger", entry.kind === "exclude" ? "excluded" : "remark", entry.start, entry.end,
-      `${entry.kind}: ${entry.text}${by}`);
+      () => `${entry.kind}: ${entry.text}${by}`);
   }
   for (const datum of answer.datum ?? []) {
-    add("event", "datum", datum.at, datum.at, `${t("calibration")} ${datum.calibration}`);
+    add("event", "datum", datum.at, datum.at, () => `${t("calibration")} ${datum.calibration}`);
   }
   for (const event of answer.events ?? []) {
-    add("event", "event", event.time ?? event.at, event.time ?? event.at, [event.kind, event.detail].filter(Boolean).join(": "));
+    add("event", "event", event.time ?? event.at, event.time ?? event.at, () => [event.kind, event.detail].filter(Boolean).join(": "));
   }
   return found.sort((a, b) => a.start - b.start);
+};
+
+/** Spans that are shaded, by kind: a drawing takes one colour after the other. */
+export const shadedByKind = (spans) => {
+  const found = new Map();
+  for (const span of spans) {
+    if (span.kind === "event") continue;
+    if (!found.has(span.kind)) found.set(span.kind, []);
+    found.get(span.kind).push(span);
+  }
+  return found;
 };
 
 /** What holds at a moment; `reach` seconds to each side. */
@@ -47,6 +73,16 @@ export const spanText = (span) =>
 const GRAVER = ["remark", "event", "datum", "gap", "flag-3", "excluded", "flag-4", "flag-9"];
 const graver = (a, b) => (GRAVER.indexOf(a) < GRAVER.indexOf(b) ? b : a);
 
+/** Up to three different texts of spans, of the first ones. */
+const textsOf = (spans) => {
+  const texts = new Set();
+  for (const { text } of spans) {
+    texts.add(text);
+    if (texts.size === 3) break;
+  }
+  return [...texts];
+};
+
 /** Spans of one lane in a window, those closer than `near` seconds put together: first those of one
  * kind; while there are too many, those of any kind that begin within `near`, shown as the graver. */
 export const together = (spans, lane, since, until, near, mixed = false) => {
@@ -57,16 +93,15 @@ export const together = (spans, lane, since, until, near, mixed = false) => {
     const joins = last && (mixed ? span.start - last.start < near : span.start - last.end < near && last.kind === span.kind);
     if (joins) {
       last.end = Math.max(last.end, span.end);
-      last.count += 1;
+      last.spans.push(span);
       last.kind = graver(last.kind, span.kind);
-      if (last.texts.length < 3 && !last.texts.includes(span.text)) last.texts.push(span.text);
-    } else groups.push({ ...span, count: 1, texts: [span.text] });
+    } else groups.push({ lane, kind: span.kind, start: span.start, end: span.end, spans: [span] });
   }
   if (groups.length > MOST) return together(spans, lane, since, until, 2 * near + 1, true);
-  return groups.map((group) => ({
-    ...group,
-    text: group.count === 1 ? group.text : t("several", { count: group.count, text: group.texts.join("; ") }),
-  }));
+  return groups.map(({ spans: within, ...group }) => {
+    const [count, text] = [within.length, textsOf(within).join("; ")];
+    return { ...group, count, text: count === 1 ? text : t("several", { count, text }) };
+  });
 };
 
 /** A row of buttons for each lane, above the figures: at `leftPx`, `widthPx` wide. */
@@ -85,6 +120,14 @@ export const laneRows = (spans, since, until, leftPx, widthPx, tell, zoomTo) => 
     const marks = together(spans, lane, since, until, (NEAR_PX * (until - since)) / widthPx);
     const name = t(`lane_${lane}`);
     return el("div", { class: "lane", role: "group", "aria-label": name }, el("span", { class: "lane-name" }, name),
-      el("div", { class: "track", style: { marginLeft: `${leftPx}px`, width: `${widthPx}px` } }, marks.map((span) => mark(lane, span))));
+      el("div", { class: "track", style: { marginLeft: `${leftPx}px`, width: `${widthPx}px` } },
+        el("div", { class: "marks" }, marks.map((span) => mark(lane, span)))));
   });
+};
+
+/** Move the marks that were made for one window to where they belong in another one. */
+export const slide = (lanes, made, since, until) => {
+  const share = (seconds) => seconds / (until - since);
+  const transform = `translateX(${100 * share(made.since - since)}%) scaleX(${share(made.until - made.since)})`;
+  for (const marks of lanes.querySelectorAll(".marks")) marks.style.transform = transform;
 };
