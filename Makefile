@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.stamp-installed
 
 .DELETE_ON_ERROR:
-.PHONY: help venv demo test exhaustive check bench studies picture page-pictures docs clean install uninstall deb
+.PHONY: help venv demo test exhaustive check bench studies cf picture page-pictures docs clean install uninstall deb
 
 help:
 	@echo "make venv    make .venv with all that is needed, and do nothing else: .venv/bin/dcam-ctl"
@@ -19,6 +19,7 @@ help:
 	@echo "make check   lint, types, import contracts"
 	@echo "make bench   measure time and memory: docs/benchmarks.md"
 	@echo "make studies repeat the studies of accuracy, an hour or so: docs/studies; a second run continues"
+	@echo "make cf      have the CF checker look at a NetCDF export"
 	@echo "make picture draw docs/images/architecture.svg from the code (needs graphviz)"
 	@echo "make page-pictures take docs/images/page-*.png again, from the tests (needs chromium)"
 	@echo "make docs    the documents as a site: out/docs/index.html"
@@ -53,6 +54,12 @@ bench: $(INSTALLED)
 
 studies: $(INSTALLED)
 	$(BIN)/python -m studies
+
+# The checker brings much that nothing else here needs: it has an environment of its own.
+cf: $(INSTALLED)
+	[ -x out/cf/bin/compliance-checker ] || { $(PYTHON) -m venv out/cf && \
+	  out/cf/bin/python -m pip install --quiet "compliance-checker>=6.1,<7"; }
+	$(BIN)/python -m benchmarks.cf out/cf/bin/compliance-checker
 
 picture: $(INSTALLED)
 	$(BIN)/python docs/draw_architecture.py

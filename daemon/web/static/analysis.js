@@ -21,7 +21,7 @@ const trendRows = ({ trend, drift }) => [
 
 const tables = (found) => [
   ...part(t("temperature_share"), [t("name"), t("mm_per_unit"), t("lag_h")],
-    (found.temperature?.readings ?? []).map((one) => [one.name, `${interval(one.mm_per_unit, 4)} mm/${one.unit === "degC" ? "K" : one.unit}`, interval(one.lag_h, 2)])),
+    (found.temperature?.readings ?? []).map((one) => [one.slow ? t("slow_part", one) : one.name, `${interval(one.mm_per_unit, 4)} mm/${one.unit === "degC" ? "K" : one.unit}`, interval(one.lag_h, 2)])),
   ...part(t("trend"), [t("span"), t("mm_per_year"), ""], trendRows(found)),
   ...part(t("steps"), [t("time"), "mm", t("at_earliest"), t("at_latest")],
     (found.steps?.found ?? []).map((step) => [timeElement(step.time_utc), interval(step.mm), timeElement(step.earliest_utc), timeElement(step.latest_utc)])),

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, expect
+from playwright.sync_api import Browser, Route, expect
 
 from benchmarks.page_record import FIRST, GAP_SLOTS, MINUTE, PEAK_MM, SUSPECT
 from daemon.store.database import open_store
@@ -385,6 +385,23 @@ class TestOtherPages:
         visit.page.get_by_label("Direction").select_option("x")
         visit.page.get_by_role("button", name="Go").click()
         expect(days).not_to_contain_text(f"{PEAK_MM:.3f}")
+
+    def test_both_masses_of_a_reading_have_a_name_of_their_own(self, visit: Visit) -> None:
+        """The answer is the server's, but for what a record of months would have found."""
+        between = {"value": 1.0, "low": 0.9, "high": 1.1}
+        mass = {"name": "deck", "unit": "degC", "kind": "first-order"}
+        mass |= {"lag_h": between, "mm_per_unit": between}
+
+        def with_masses(route: Route) -> None:
+            found = route.fetch()
+            readings = [{**mass, "slow": slow} for slow in (False, True)]
+            temperature = {"explained": 0.9, "left_mm": 0.1, "readings": readings}
+            route.fulfill(response=found, json={**found.json(), "temperature": temperature})
+
+        visit.page.route("**/api/analysis*", with_masses)
+        visit.go("/analysis")
+        rows = visit.page.get_by_role("group", name="Temperature").locator("tbody th")
+        expect(rows).to_have_text(["deck", "deck, slow part"])
 
     def test_gaps_and_events_are_tables_and_a_calibration_is_its_report(self, visit: Visit) -> None:
         visit.go("/events")
