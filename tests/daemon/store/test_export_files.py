@@ -6,7 +6,7 @@ import csv
 import io
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -29,13 +29,28 @@ from tests.daemon.store.examples import START, calibration, full_record, record,
 
 @pytest.fixture
 def slots(tmp_path: Path) -> Iterator[SlotTable]:
-    """A row with everything, one with nothing, a slot in a gap."""
-    with open_store(tmp_path / "state") as store:
+    with three_slots(tmp_path) as table:
+        yield table
+
+
+@contextmanager
+def three_slots(directory: Path) -> Iterator[SlotTable]:
+    """A row with everything, one with nothing, a slot in a gap; from the database `state`."""
+    with open_store(directory / "state") as store:
         store.add_calibration(calibration())
         store.add_measurement(full_record(slot(0), calibration_id=1))
         store.add_measurement(record(slot(1)))
         store.record_gap(slot(2), slot(2), GapCause.POWER_LOSS, "the plug", period_s=60)
         yield slot_table(store, ALWAYS, NEVER, lambda _done, _total: None)
+
+
+@pytest.fixture(scope="module")
+def netcdf(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[str, ...]]:
+    """The same as NetCDF, beside its `state`, and the names of its columns; not to be changed."""
+    directory = tmp_path_factory.mktemp("netcdf")
+    with three_slots(directory) as slots:
+        assert write_netcdf(slots, directory / "a.nc", "pier-3") == 3
+        return directory / "a.nc", slots.columns
 
 
 def test_parquet_has_every_column_with_its_type(slots: SlotTable, tmp_path: Path) -> None:
@@ -54,9 +69,8 @@ def test_parquet_has_every_column_with_its_type(slots: SlotTable, tmp_path: Path
     assert known == {"slot_utc": slot(2), "flag": 9, "reasons": "power_loss", "detail": "the plug"}
 
 
-def test_netcdf_is_a_cf_time_series_with_flag_meanings(slots: SlotTable, tmp_path: Path) -> None:
-    assert write_netcdf(slots, tmp_path / "a.nc", "pier-3") == 3
-    with h5netcdf.File(tmp_path / "a.nc") as file:
+def test_netcdf_is_a_cf_time_series_with_flag_meanings(netcdf: tuple[Path, object]) -> None:
+    with h5netcdf.File(netcdf[0]) as file:
         assert file.attrs["Conventions"].startswith("CF-")
         assert file.attrs["featureType"] == "timeSeries"
         assert file["station"][...].item().decode() == "pier-3"
@@ -80,9 +94,8 @@ def test_netcdf_is_a_cf_time_series_with_flag_meanings(slots: SlotTable, tmp_pat
         assert late[...].tolist() == [1, 0, late.attrs["_FillValue"]]
 
 
-def test_netcdf_has_variables_of_each_further_target(slots: SlotTable, tmp_path: Path) -> None:
-    write_netcdf(slots, tmp_path / "a.nc", "pier-3")
-    with h5netcdf.File(tmp_path / "a.nc") as file:
+def test_netcdf_has_variables_of_each_further_target(netcdf: tuple[Path, object]) -> None:
+    with h5netcdf.File(netcdf[0]) as file:
         value, flag = file["quarter-span_x_mm"], file["quarter-span_flag"]
         assert value[...].tolist()[0] == 0.7
         assert value.attrs["long_name"].startswith("target quarter-span: corrected displacement")
@@ -95,16 +108,16 @@ def test_netcdf_has_variables_of_each_further_target(slots: SlotTable, tmp_path:
 
 
 def test_every_netcdf_variable_says_what_it_is_and_has_its_cf_unit(
-    slots: SlotTable, tmp_path: Path
+    netcdf: tuple[Path, tuple[str, ...]],
 ) -> None:
     """Unit by unit, as UDUNITS knows them; what is no quantity has none."""
-    write_netcdf(slots, tmp_path / "a.nc", "pier-3")
+    path, columns = netcdf
     by_ending = {
         "mm": "mm", "mm2": "mm2", "rad": "rad", "s": "s", "us": "us", "db": "1", "c": "degC",
         "px": "1", "dn": "1", "air": "degC", "steel-2": "degC",
     }  # fmt: skip
-    with h5netcdf.File(tmp_path / "a.nc") as file:
-        for name in slots.columns:
+    with h5netcdf.File(path) as file:
+        for name in columns:
             attributes = file["time" if name == "slot_utc" else name].attrs
             assert len(attributes["long_name"]) > 10
             kind, unit = kind_of_column(name), attributes.get("units")
@@ -210,11 +223,10 @@ def test_pandas_reads_from_parquet_what_the_database_holds(
             assert same(read, row[name]), name
 
 
-def test_xarray_reads_from_netcdf_what_the_database_holds(slots: SlotTable, tmp_path: Path) -> None:
+def test_xarray_reads_from_netcdf_what_the_database_holds(netcdf: tuple[Path, object]) -> None:
     xarray = pytest.importorskip("xarray")
-    write_netcdf(slots, tmp_path / "a.nc", "pier-3")
-    rows = stored_rows(tmp_path / "state")
-    with xarray.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as dataset:
+    rows = stored_rows(netcdf[0].with_name("state"))
+    with xarray.open_dataset(netcdf[0], engine="h5netcdf") as dataset:
         assert dataset.attrs["featureType"] == "timeSeries"
         times = [datetime.fromisoformat(str(row["slot_utc"])).timestamp() for row in rows]
         assert (dataset["time"].values[:2].astype("datetime64[s]").astype(int) == times).all()
