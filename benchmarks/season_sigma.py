@@ -65,6 +65,8 @@ from drivers.sim.settings import (
 )
 from drivers.sim.world import World
 
+_LAST_MINUTES = (20160, 14400, 8640, 4320, 1440, 60)
+"""Before the second reference, rows tell how the pair travels."""
 DAYS, LENS_VIEWS, RIG_VIEWS = 145.0, 10, 13
 """As the season that docs/method.md shows."""
 _CENTRES_MM = np.array([[-15.0, 11.0], [15.0, 11.0], [0.0, 0.0], [-15.0, -11.0], [15.0, -11.0]])
@@ -165,16 +167,15 @@ def run(rows: int, seed: int) -> tuple[Season, ...]:
         ((site, second), (bare, alone)),
         rng,
     )
-    travel_utc = again_utc - 60 * _MINUTE
-    last = _measured(world, travel_utc, site, first)
-    assert last.corrected is not None
-    row = SeenRow(travel_utc, last.corrected, 1, motion=last.motion)
+    record = [
+        _seen_row(world, again_utc - minutes * _MINUTE, site, first) for minutes in _LAST_MINUTES
+    ]
     zeros = [
         _zero(world, (of, earlier, new), (reference_utc, again_utc), rows_before)
         for (of, earlier), new, rows_before in (
             (both[0], second, None),
             (both[1], alone, None),
-            (both[0], second, [row]),
+            (both[0], second, record),
         )
     ]
     in_zero = [
@@ -208,9 +209,11 @@ def _pair(world: World, t_utc: datetime) -> tuple[tuple[GreyImage, GreyImage], M
     return (main, sub), Moment(t_utc.timestamp(), world.reported_c("main", t_utc))
 
 
-def _measured(world: World, t_utc: datetime, site: Site, by: Calibration) -> Measurement:
+def _seen_row(world: World, t_utc: datetime, site: Site, by: Calibration) -> SeenRow:
     pair, moment = _pair(world, t_utc)
-    return measure_pair(*pair, site, by, moment=moment)
+    found = measure_pair(*pair, site, by, moment=moment)
+    assert found.corrected is not None
+    return SeenRow(t_utc, found.corrected, 1, motion=found.motion)
 
 
 def _zero(

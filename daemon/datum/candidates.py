@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime, timedelta
+from datetime import datetime
 from types import MappingProxyType
 
 import numpy as np
@@ -20,7 +20,7 @@ from core.rig.datum import Travel, through_fixed_targets, travel_by
 from core.rig.reference_errors import Gains, ReferenceErrors
 from core.site import MAIN, Site, TargetRole
 from daemon.datum.chain import NOTHING, offset_by
-from daemon.datum.movement import movement_sigma_mm
+from daemon.datum.movement import drift_share, drift_sigma_mm, movement_sigma_mm
 from daemon.slots.measuring import ActiveCalibration, ImagePair, measure
 from daemon.store.records import DatumMethod, DatumRecord, DatumStep
 from daemon.text import span_text, utc_text
@@ -188,10 +188,17 @@ def _travel(known: Known, new: NewReference, site: Site, rows: Sequence[SeenRow]
     motions = [row.motion for row in own if row.motion is not None]
     if not motions:
         return None
-    usual_mm = float(np.linalg.norm(np.std([m.translation_mm for m in motions], axis=0)))
-    share = min(1.0, (new.slot_utc - own[-1].slot_utc) / timedelta(days=1))
+    gap_s = (new.slot_utc - own[-1].slot_utc).total_seconds()
+    drift_mm = drift_sigma_mm(
+        np.array([row.slot_utc.timestamp() for row in own]),
+        np.array([motion.translation_mm for motion in motions]),
+        gap_s,
+    )
     limit_mm = site.quality.expected_drift_mm
-    sigma_mm = min(limit_mm, max(_LEAST_TRAVEL_MM, usual_mm * share))
+    if drift_mm is None:
+        drift_mm = np.array([limit_mm * drift_share(gap_s)])
+    axis_mm = float(np.sqrt((drift_mm**2).mean()))
+    sigma_mm = min(limit_mm, max(_LEAST_TRAVEL_MM, axis_mm))
     last = Pose.from_vectors(motions[-1].rotation_rad, motions[-1].translation_mm)
     return travel_by(known.active.calibration.calibrated, last, sigma_mm)
 

@@ -1,4 +1,4 @@
-"""How far the bridge moves of its own in a stretch without rows, as its record shows it."""
+"""How far bridge and rig move of their own in a stretch without rows, as the record shows it."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ _FEWEST_ROWS = 4
 _WIDER = 1.5
 """Lags up to so many times the gap stand for it."""
 _LEAST_LAG_S = 1.0
+_SETTLES_S = 4.0 * 3600.0
+"""After which a rig has left where it was. Chosen: sun and clouds turn a rig within hours; with a
+day instead, as of a wave that comes once a day, the movement of an hour would be half as large."""
 _MEDIAN_SQUARE = 0.4549
 """The median of the square of a standard normal variable."""
 
@@ -36,6 +39,25 @@ def movement_sigma_mm(times_s: FloatArray, mm: FloatArray, gap_s: float) -> Floa
             return np.asarray(np.sqrt((found**2).mean(axis=0)))
         lag_s *= _WIDER
     return math.sqrt(2.0) * np.asarray(mm.std(axis=0, ddof=1))
+
+
+def drift_sigma_mm(times_s: FloatArray, mm: FloatArray, gap_s: float) -> FloatArray | None:
+    """(k,) 1 sigma of a rig's movement within a gap; None where the record tells nothing.
+
+    times_s (n,) in order, mm (n, k). From the differences of rows that far apart; where there are
+    too few, from the spread of all, of which a gap of hours brings a part only.
+    """
+    if len(times_s) < _FEWEST_ROWS:
+        return None
+    found = _differences(times_s, mm, max(gap_s, _LEAST_LAG_S))
+    if len(found) >= _FEWEST_PAIRS:
+        return np.asarray(np.sqrt((found**2).mean(axis=0)))
+    return drift_share(gap_s) * np.asarray(mm.std(axis=0, ddof=1))
+
+
+def drift_share(gap_s: float) -> float:
+    """1 sigma of a rig's movement within a gap, over that of where it is."""
+    return math.sqrt(-2.0 * math.expm1(-gap_s / _SETTLES_S))
 
 
 def _differences(times_s: FloatArray, mm: FloatArray, lag_s: float) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daemon.datum.movement import movement_sigma_mm
+from daemon.datum.movement import drift_sigma_mm, movement_sigma_mm
 
 MINUTE_S = 60.0
 
@@ -49,3 +49,22 @@ def test_a_few_rows_tell_nothing() -> None:
 def test_no_gap_at_all_is_a_second() -> None:
     mm = np.random.default_rng(4).normal(0.0, 0.1, (100, 2))
     assert movement_sigma_mm(np.arange(100.0), mm, 0.0) is not None
+
+
+def test_a_rig_that_follows_the_clouds_moves_within_an_hour() -> None:
+    """A row a minute shows it; rows days apart show where it can be, of which an hour is a part."""
+    rng = np.random.default_rng(5)
+    share = np.exp(-1.0 / 240.0)
+    mm = np.zeros((40_000, 3))
+    for k, step in enumerate(rng.normal(0.0, 0.4 * (1.0 - share**2) ** 0.5, (39_999, 3))):
+        mm[k + 1] = share * mm[k] + step
+    times_s = MINUTE_S * np.arange(len(mm))
+    true_mm = np.sqrt(((mm[60:] - mm[:-60]) ** 2).mean(axis=0))
+    assert true_mm == pytest.approx([0.27] * 3, rel=0.1)
+    dense = drift_sigma_mm(times_s, mm, 3600.0)
+    sparse = drift_sigma_mm(times_s[::2880], mm[::2880], 3600.0)
+    assert dense is not None
+    assert sparse is not None
+    assert dense == pytest.approx(true_mm, rel=0.1)
+    assert sparse.mean() == pytest.approx(true_mm.mean(), rel=0.4)
+    assert drift_sigma_mm(times_s[:3], mm[:3], 3600.0) is None
