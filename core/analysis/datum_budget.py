@@ -38,7 +38,7 @@ def link_of(
         return Linked(by_places @ of_reference, by_places, np.zeros((2, 2)))
     known, rest_mm2 = datum.errors, datum.covariance_mm2
     if known is not None and datum.shared is not None and set(names) <= set(known.names):
-        at = known.places(names)
+        at = known.places_in_row(names)
         shared = datum.shared[at]
         by_errors = shared.T @ np.linalg.pinv(known.covariance[np.ix_(at, at)], rcond=1e-9)
         rest_mm2 = rest_mm2 - by_errors @ shared

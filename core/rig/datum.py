@@ -53,8 +53,8 @@ class Moved:
 
     displacement: Displacement
     gains: Gains
-    """What is taken off it for a fixed target's shift (mm), turn and scale at the new reference;
-    at the old one the same, with the opposite sign."""
+    """What is taken off it for each target's shift (mm), turn and scale at the new reference, but
+    for its own shift; at the old one the same, with the opposite sign."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,23 +167,24 @@ def _solve(
         by_state = to_mm @ covariance[own]
         gains = {
             one.name: _gain(by_state, _model(state, at, one, centre_px, focal_px, near_mm)[1], one)
-            for at, one in enumerate(fixed)
+            for at, one in enumerate(everyone)
         }
+        gains[pair.name] += np.eye(2, 4)  # its own shift is what has moved
         found[pair.name] = Moved(displacement, gains)
     return found
 
 
-def _gain(by_state: FloatArray, jacobian: FloatArray, fixed: _Pair) -> FloatArray:
-    """(2, 4) of `Gains`: how the estimate follows a fixed target's discs, moved together.
+def _gain(by_state: FloatArray, jacobian: FloatArray, pair: _Pair) -> FloatArray:
+    """(2, 4) of `Gains`: how the estimate follows a target's discs, moved together.
 
     by_state (2, states) is to mm times the rows of the states' covariance.
     """
-    by_discs = by_state @ jacobian.T / np.repeat(fixed.px2, 2)
-    x, y = (fixed.new_px - fixed.new_px.mean(axis=0)).T
+    by_discs = by_state @ jacobian.T / np.repeat(pair.px2, 2)
+    x, y = (pair.new_px - pair.new_px.mean(axis=0)).T
     ones, nothing = np.ones(len(x)), np.zeros(len(x))
     shifts = np.stack([np.stack([ones, nothing], axis=1), np.stack([nothing, ones], axis=1)])
     turn_and_scale = np.stack([np.stack([-y, x], axis=1), np.stack([x, y], axis=1)])
-    together = np.concatenate([np.einsum("km,knc->mnc", fixed.B, shifts), turn_and_scale])
+    together = np.concatenate([np.einsum("km,knc->mnc", pair.B, shifts), turn_and_scale])
     return np.asarray(-by_discs @ together.reshape(4, -1).T)
 
 

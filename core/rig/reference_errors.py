@@ -14,11 +14,11 @@ import numpy as np
 from core.arrays import FloatArray, IntArray
 
 Gains = Mapping[str, FloatArray]
-"""(2, 4) by a fixed target's name: so much of its shift (mm), turn (rad) and relative change of
-scale is taken off a displacement."""
+"""(2, 4) by a target's name: so much of its shift (mm), turn (rad) and relative change of scale is
+taken off a displacement."""
 
-_SHIFT, _FIXED = 2, 4
-"""Values of a target: its shift, and of a fixed one its turn and change of scale too."""
+_SHIFT, _VALUES = 2, 4
+"""Values of a target: its shift; its turn and change of scale too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,38 +30,35 @@ class ReferenceErrors:
     """
 
     names: tuple[str, ...]
-    sizes: tuple[int, ...]
-    """Of the values below, for each target: shift (2, mm) and, of a fixed one, turn (rad) and
-    relative change of scale."""
+    fixed: tuple[bool, ...]
+    """Of each target: whether it is a fixed one."""
     covariance: FloatArray
-    """(m, m)."""
+    """(4 n, 4 n) of each target's shift (2, mm), turn (rad) and relative change of scale."""
 
     def by_values(self, target: str, gains: Gains) -> FloatArray | None:
-        """(2, m): a target's displacement by these errors, with what fixed ones show taken off.
+        """(2, 4 n): a target's displacement by these errors, less what gains take off.
 
         None of a target that the reference does not show.
         """
         if target not in self.names:
             return None
         parts = [
-            np.eye(_SHIFT, size) if name == target else self._taken(name, size, gains)
-            for name, size in zip(self.names, self.sizes, strict=True)
+            np.eye(_SHIFT, _VALUES, dtype=float) * (name == target)
+            - gains.get(name, np.zeros((_SHIFT, _VALUES)))
+            for name in self.names
         ]
         return np.concatenate(parts, axis=1)
 
-    def places(self, targets: Sequence[str]) -> IntArray:
-        """Indices of all values of some targets, in their order."""
-        ends = dict(zip(self.names, np.cumsum(self.sizes).tolist(), strict=True))
-        sizes = dict(zip(self.names, self.sizes, strict=True))
-        return np.concatenate([np.arange(ends[n] - sizes[n], ends[n]) for n in targets])
+    def places_in_row(self, targets: Sequence[str]) -> IntArray:
+        """Indices of what a row uses of some targets: all of a fixed one, of others the shift."""
+        found = []
+        for target in targets:
+            at = self.names.index(target)
+            used = _VALUES if self.fixed[at] else _SHIFT
+            found.append(np.arange(_VALUES * at, _VALUES * at + used))
+        return np.concatenate(found)
 
     @property
     def has_fixed(self) -> bool:
         """Whether a fixed target is among them."""
-        return _FIXED in self.sizes
-
-    @staticmethod
-    def _taken(name: str, size: int, gains: Gains) -> FloatArray:
-        gain = gains.get(name)
-        usable = gain is not None and size == _FIXED
-        return -np.asarray(gain) if usable else np.zeros((_SHIFT, size))
+        return any(self.fixed)

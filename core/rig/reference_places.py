@@ -40,16 +40,14 @@ def errors_at_reference(calibrated: CalibratedSite, camera: CameraGeometry) -> R
     to_mm = _to_mm(combinations, sizes)
     covariance = to_mm @ (factor_px @ factor_px.T + sensitivities.floor) @ to_mm.T
     names = tuple(target.name for target in targets)
-    return ReferenceErrors(names, tuple(sizes), covariance)
+    return ReferenceErrors(names, tuple(target.is_fixed for target in targets), covariance)
 
 
 def _combination(calibrated: CalibratedSite, target: CalibratedTarget) -> DiscCombination:
     which = np.nonzero(np.isfinite(target.reference_px).all(axis=1))[0]
     weights = np.full(len(which), 1.0 / len(which))
-    sums = mean_of(weights)
-    if target.is_fixed:
-        turn = turn_and_scale_of(weights, target.reference_px[which])
-        sums = np.concatenate([sums, turn])
+    turn = turn_and_scale_of(weights, target.reference_px[which])
+    sums = np.concatenate([mean_of(weights), turn])
     prediction = predict_shift_of(calibrated, target, which, Pose.identity())
     return DiscCombination(target, which, sums, prediction)
 

@@ -247,7 +247,7 @@ def _errors_text(record: DatumRecord) -> str | None:
     if errors is None:
         return None
     found = {
-        "targets": list(zip(errors.names, errors.sizes, strict=True)),
+        "targets": list(zip(errors.names, errors.fixed, strict=True)),
         "covariance": errors.covariance.tolist(),
         "shared": {name: shared.tolist() for name, shared in record.shared.items()},
     }
@@ -258,8 +258,8 @@ def _errors(text: str | None) -> tuple[ReferenceErrors | None, dict[str, FloatAr
     if text is None:
         return None, {}
     found = json.loads(text)
-    names, sizes = zip(*found["targets"], strict=True)
-    errors = ReferenceErrors(tuple(names), tuple(sizes), np.array(found["covariance"]))
+    names, fixed = zip(*found["targets"], strict=True)
+    errors = ReferenceErrors(tuple(names), tuple(fixed), np.array(found["covariance"]))
     return errors, {name: np.array(shared) for name, shared in found["shared"].items()}
 
 

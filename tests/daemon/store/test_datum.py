@@ -118,12 +118,12 @@ def with_plate(gain: list[list[float]] | None) -> Measurement:
     return Measurement(Flag.GOOD, (), found, found, None, targets=(plate,), frames_used=1)
 
 
-def with_errors(*sizes: tuple[str, int]) -> DatumRecord:
+def with_errors(*names: str) -> DatumRecord:
     """A link that has measured its reference, whose noise is in all rows."""
-    m = sum(size for _, size in sizes)
+    m = 4 * len(names)
     covariance = 0.004 * (np.eye(m) + 0.2)
-    errors = ReferenceErrors(*(tuple(part) for part in zip(*sizes, strict=True)), covariance)
-    shared = covariance[:, :2] - (0.5 * covariance[:, 2:4] if m > 2 else 0.0)
+    errors = ReferenceErrors(names, tuple(name != MAIN for name in names), covariance)
+    shared = covariance[:, :2] - (0.5 * covariance[:, 4:6] if len(names) > 1 else 0.0)
     return replace(datum(0.3, 2.7, 0.12), errors=errors, shared={MAIN: shared})
 
 
@@ -133,13 +133,13 @@ GAIN = [[0.9, 0.0, 0.3, -0.4], [0.0, 0.8, 0.2, 0.1]]
 @pytest.mark.parametrize(
     ("link", "gain", "by_errors"),
     [
-        (with_errors((MAIN, 2)), None, np.eye(2)),
+        (with_errors(MAIN), None, np.eye(2, 4)),
         (
-            with_errors((MAIN, 2), ("abutment", 4)),
+            with_errors(MAIN, "abutment"),
             GAIN,
-            np.concatenate([np.eye(2), -np.array(GAIN)], axis=1),
+            np.concatenate([np.eye(2, 4), -np.array(GAIN)], axis=1),
         ),
-        (with_errors((MAIN, 2), ("abutment", 4)), None, np.zeros((2, 6))),
+        (with_errors(MAIN, "abutment"), None, np.zeros((2, 8))),
     ],
     ids=["main target alone", "with a fixed plate", "of a version that kept no gain"],
 )
@@ -147,7 +147,7 @@ def test_what_a_row_shares_with_its_datum_is_in_its_sigma_wherever_it_is_read(
     tmp_path: Path, link: DatumRecord, gain: list[list[float]] | None, by_errors: FloatArray
 ) -> None:
     measurement = with_plate(gain)
-    if by_errors.shape == (2, 2):
+    if by_errors.shape == (2, 4):
         measurement = replace(measurement, targets=())
     with open_store(tmp_path) as store:
         store.add_calibration(calibration())
@@ -177,7 +177,7 @@ def test_what_a_row_shares_with_its_datum_is_in_its_sigma_wherever_it_is_read(
 
 
 def test_a_link_keeps_what_its_reference_does_to_rows(tmp_path: Path) -> None:
-    link = with_errors((MAIN, 2), ("abutment", 4))
+    link = with_errors(MAIN, "abutment")
     gains = {MAIN: {"abutment": np.array(GAIN)}}
     offset = link.offset
     steps = (DatumStep(DatumMethod.OLD_CALIBRATION, 1, offset, {}, gains, gains),)
