@@ -15,7 +15,7 @@ help:
 	@echo "make venv    make .venv with all that is needed, and do nothing else: .venv/bin/dcam-ctl"
 	@echo "make demo    calibrate, measure 60 slots and more, and compare with the truth: out/demo"
 	@echo "make test    run the tests"
-	@echo "make exhaustive  the tests that try some of many cases, on every case: an hour or so"
+	@echo "make exhaustive  the tests that try some of many cases, on every case: ten minutes or so"
 	@echo "make check   lint, types, import contracts"
 	@echo "make bench   measure time and memory: docs/benchmarks.md"
 	@echo "make studies repeat the studies of accuracy, an hour or so: docs/studies; a second run continues"
