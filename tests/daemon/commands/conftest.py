@@ -42,15 +42,19 @@ CONFIG = laboratory(640, square_mm=4.0)
 SEED = 3
 """Of the frame set."""
 
-SIMULATED = (
-    CONFIG.replace("width_px", 'backend = "simulated"\nwidth_px')
-    + f"""
+
+def simulated(config: str) -> str:
+    """A site's config with simulated cameras, head and clock."""
+    return f"""{config.replace("width_px", 'backend = "simulated"' + chr(10) + "width_px")}
 [simulation]
 seed = {SEED}
 start_utc = 2026-03-01T00:00:00Z
 """
-)
-"""The same site with simulated cameras, head and clock."""
+
+
+SIMULATED = simulated(CONFIG)
+SMALL = simulated(laboratory(320, square_mm=4.0))
+"""On half as many pixels a side, for what does not depend on how well a row is known."""
 
 PLAN = FrameSetPlan(intrinsics=8, rig=12, measure=4)
 

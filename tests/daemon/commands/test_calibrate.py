@@ -20,7 +20,7 @@ from daemon.store.database import open_store, open_store_readonly
 from drivers.frameset import encode_png, format_slot, read_frame_set
 from drivers.sim.settings import SimSettings
 from drivers.sim.world import World
-from tests.daemon.commands.conftest import CONFIG, SEED, SIMULATED, Ctl, edit_table
+from tests.daemon.commands.conftest import CONFIG, SEED, SMALL, Ctl, edit_table
 
 
 def calibrate(ctl: Ctl, bench: Path, state: Path, frames: Path, *more: str):
@@ -276,7 +276,7 @@ def test_pan_tilt_without_a_head_is_a_clear_line(ctl: Ctl, bench: Path, tmp_path
 def test_pan_tilt_takes_views_keeps_them_and_calibrates_on_them(ctl: Ctl, tmp_path: Path) -> None:
     """The simulated head: lens views, the zero, 21 positions and the zero twice again."""
     config, state = tmp_path / "dcam.toml", tmp_path / "state"
-    config.write_text(SIMULATED)
+    config.write_text(SMALL)
     ran = ctl("--config", config, "--state", state, "calibrate", "--pan-tilt", "--json")
     assert ran.code == 0, ran.err
     result = json.loads(ran.out)
