@@ -12,10 +12,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from core.adjustment.view_kernels import add_corners
 from core.arrays import FloatArray
 from core.checkerboard.board import Board
 from core.checkerboard.board_shape import SHAPE_PARAMETERS, shape_sigmas
-from core.checkerboard.resection import BoardView, pose_jacobian, robust_scale, robust_weights
+from core.checkerboard.pose_kernels import whiten_residuals
+from core.checkerboard.resection import BoardView, robust_scale, robust_weights
 from core.geometry.lens import Lens
 from core.geometry.pose import Pose
 from core.rig.posterior import Posterior
@@ -145,10 +147,9 @@ class NormalEquations:
 
     def reduced(self) -> FloatArray:
         """The dense normal matrix with the corner offsets eliminated."""
-        weighted = np.linalg.solve(self.corner, self.cross)
-        size = len(self.dense)
-        flat, weighted_flat = self.cross.reshape(-1, size), weighted.reshape(-1, size)
-        return self.dense - flat.T @ weighted_flat
+        root = np.linalg.inv(np.linalg.cholesky(self.corner))
+        halves = (root @ self.cross).reshape(-1, len(self.dense))
+        return self.dense - halves.T @ halves
 
     def solve(self) -> tuple[FloatArray, FloatArray, float]:
         """Step of the dense unknowns and of the corner offsets, and its length in sigmas."""
@@ -184,6 +185,7 @@ class AdjustmentProblem:
         main_views: Sequence[MainView | None],
     ) -> None:
         self.board, self.terms, self.views, self.start = board, terms, views, start
+        self.shape_terms = np.ascontiguousarray(terms[:, :, :SHAPE_PARAMETERS])
         self.main_views, self.square = main_views, priors.square
         self.whitening = [view.whitening() for view in views]
         self.layout = _Layout(start.lens.size, terms.shape[2], len(priors.discs_px), len(views))
@@ -232,28 +234,31 @@ class AdjustmentProblem:
     ) -> FloatArray:
         """Add one view's corners; their whitened residual norms come back."""
         view, layout = self.views[v], self.layout
-        projected, by_pose, by_point, by_lens = pose_jacobian(
-            state.lens, state.poses[v], state.corners_mm[view.index]
-        )
-        residual = view.points_px - projected
-        white = (self.whitening[v] @ residual[:, :, None])[:, :, 0]
-        norm = np.hypot(white[:, 0], white[:, 1])
+        R = np.ascontiguousarray(state.poses[v].R)
+        rotated = state.corners_mm[view.index] @ R.T
+        in_camera = rotated + state.poses[v].t_mm
+        projected, by_point, by_lens = state.lens.project_jacobians(in_camera)
+        residual, whiten = view.points_px - projected, self.whitening[v]
+        white, norm = np.empty_like(residual), np.empty(len(residual))
+        whiten_residuals(residual, whiten, white, norm)
         weights = robust_weights(norm / scale)
-        whiten = self.whitening[v] * np.sqrt(weights)[:, None, None]
-        white *= np.sqrt(weights)[:, None]
-        by_shape = by_point @ self.terms[view.index, :, :SHAPE_PARAMETERS]
-        local = whiten @ np.concatenate([by_lens, by_shape, by_pose], axis=2)
-        by_offset = whiten @ by_point[:, :, :2]
-        columns = np.r_[: layout.lines.start, layout.pose(v)]
-        flat = local.reshape(-1, len(columns))
+        pose, shared = layout.pose(v), layout.lines.start
+        flat, rest = np.empty((residual.size, shared + 6)), np.empty(residual.size)
+        add_corners(
+            *(view.index, whiten, white, weights, by_lens, by_point, rotated, R),
+            *(
+                self.shape_terms,
+                pose.start,
+                flat,
+                rest,
+                system.cross,
+                system.corner,
+                system.corner_right,
+            ),
+        )
+        columns = np.r_[:shared, pose]
         system.dense[np.ix_(columns, columns)] += flat.T @ flat
-        system.right[columns] += flat.T @ white.ravel()
-        turned = by_offset.transpose(0, 2, 1)
-        cross, pose = turned @ local, layout.pose(v)
-        system.cross[view.index, :, : layout.lines.start] += cross[:, :, :-6]
-        system.cross[view.index, :, pose.start : pose.stop] += cross[:, :, -6:]
-        system.corner[view.index] += turned @ by_offset
-        system.corner_right[view.index] += (turned @ white[:, :, None])[:, :, 0]
+        system.right[columns] += flat.T @ rest
         squares = weights * (residual**2).sum(axis=1) / 2.0
         system.view_kept.append(float(weights.mean()))
         system.view_rms.append(float(np.sqrt(squares.sum() / weights.sum())))

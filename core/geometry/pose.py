@@ -74,12 +74,7 @@ def skew_matrix(v: FloatArray) -> FloatArray:
     >>> (skew_matrix(np.array([0.0, 0.0, 2.0])) @ np.array([1.0, 0.0, 0.0])).tolist()
     [0.0, 2.0, 0.0]
     """
-    zero = np.zeros(v.shape[:-1])
-    return np.stack(
-        [
-            np.stack([zero, -v[..., 2], v[..., 1]], -1),
-            np.stack([v[..., 2], zero, -v[..., 0]], -1),
-            np.stack([-v[..., 1], v[..., 0], zero], -1),
-        ],
-        -2,
-    )
+    skew = np.zeros((*v.shape, 3))
+    skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0] = v[..., 0], v[..., 1], v[..., 2]
+    skew[..., 1, 2], skew[..., 2, 0], skew[..., 0, 1] = -v[..., 0], -v[..., 1], -v[..., 2]
+    return skew
