@@ -348,12 +348,15 @@ class AdjustmentProblem:
         """
         layout = self.layout
         factor = system.factor()
-        corners = self.terms @ factor[layout.shape]
-        corners[:, :2] -= np.linalg.solve(system.corner, system.cross @ factor)
-        own = np.linalg.inv(system.corner) * system.scale**2
+        size, own = len(factor), np.linalg.inv(system.corner)
+        corners = self.terms.reshape(-1, self.terms.shape[2]) @ factor[layout.shape]
+        corners = corners.reshape(-1, 3, size)
+        crossed = system.cross.reshape(-1, size) @ factor
+        corners[:, :2] -= own @ crossed.reshape(-1, 2, size)
         discs = factor[layout.all_discs].reshape(layout.discs, 2, factor.shape[1])
         return Posterior(
-            factor[layout.lens], factor[layout.rig], factor[layout.pose(0)], discs, corners, own
+            *(factor[layout.lens], factor[layout.rig], factor[layout.pose(0)], discs, corners),
+            own * system.scale**2,
         )
 
     def step(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 from scipy.optimize import brentq
+from scipy.special import stdtr
 
 from core.analysis.noise import (
     DAY_S,
@@ -91,7 +92,7 @@ def mixed(
 
     def quantile(probability: float) -> float:
         def beyond(value: float) -> float:
-            return float(shares @ stats.t.cdf((value - means) / sigmas, degrees)) - probability
+            return float(shares @ stdtr(degrees, (value - means) / sigmas)) - probability
 
         low, high = float((means - 60 * sigmas).min()), float((means + 60 * sigmas).max())
         return float(brentq(beyond, low, high))

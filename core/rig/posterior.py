@@ -70,12 +70,13 @@ class Posterior:
 
     def transformed(self, matrix: FloatArray) -> Posterior:
         """Each row of F by a matrix (r, s)."""
+        flat = self.corners.reshape(-1, len(matrix))  # one product, not one for each corner
         return Posterior(
             self.lens @ matrix,
             self.model @ matrix,
             self.reference @ matrix,
             self.discs @ matrix,
-            self.corners @ matrix,
+            (flat @ matrix).reshape(*self.corners.shape[:2], matrix.shape[1]),
             self.own_mm2,
         )
 
