@@ -11,7 +11,7 @@ import argparse
 import math
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from typing import Literal
@@ -260,16 +260,33 @@ def make_numbers(case: Case, seed: int) -> NumbersSite:
 def run_numbers(case: Case, seed: int) -> Outcome:
     """One site without images."""
     made = make_numbers(case, seed)
-    calibrated, rows = made.calibrated, []
+    rows = measured(made, made.pairs, quiet=case.quiet_rows)
+    return Outcome(seed, rows, 0, passed=True)
+
+
+def quiet_pairs(made: NumbersSite, case: Case) -> tuple[tuple[Shot, PairView], ...]:
+    """A site's pairs to be measured, seen once more without noise."""
+    seen, pairs = SeenWorld(made.world, replace(case, quiet_rows=True)), []
     for shot, pair in made.pairs:
+        made.head.move_to(*shot.head_deg)
+        pairs.append((shot, seen.pair(pair.name, shot)))
+    return tuple(pairs)
+
+
+def measured(
+    made: NumbersSite, pairs: Sequence[tuple[Shot, PairView]], *, quiet: bool
+) -> tuple[Row, ...]:
+    """Measure pairs by the site's calibration; of quiet ones the sigma is the calibration's."""
+    calibrated, rows = made.calibrated, []
+    for shot, pair in pairs:
         board = resect(calibrated.lens, calibrated.corners_mm, pair.board.view)
         found, _ = corrected_displacement(calibrated, pair.discs, board, pair.board.view)
         made.head.move_to(*shot.head_deg)
         truth = made.world.truth(shot.utc)
-        covariance = found.shared_mm2 if case.quiet_rows else found.covariance_mm2
+        covariance = found.shared_mm2 if quiet else found.covariance_mm2
         assert covariance is not None
         rows.append(Row(found.mm - truth.displacement_mm, covariance, good=True))
-    return Outcome(seed, tuple(rows), 0, passed=True)
+    return tuple(rows)
 
 
 def calibrate_numbers(views: Views, site: Site) -> tuple[CalibratedSite, Fit]:

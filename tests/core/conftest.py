@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from core.calibration.calibrate import Method
-from drivers.sim.settings import SimSettings
+from drivers.sim.settings import Print, SimSettings
 from drivers.sim.world import World
 from tests.core.scenes import small_site
 from tests.core.sessions import Session, session
@@ -45,6 +45,17 @@ def lab(shared_session: MakeSession) -> Session:
 def field(shared_session: MakeSession) -> Session:
     """22 m, another rig."""
     return shared_session("field", 22000.0, SimSettings(seed=6), 12, 12)
+
+
+@pytest.fixture(scope="session")
+def printed(shared_session: MakeSession) -> Callable[[float], Session]:
+    """Give the usual laboratory with a board whose lines are off by so many um, rms."""
+
+    def give(line_error_um: float) -> Session:
+        settings = SimSettings(seed=3, print=Print(line_error_um=line_error_um))
+        return shared_session(f"printed-{line_error_um:g}um", 11000.0, settings, 8, 10)
+
+    return give
 
 
 @pytest.fixture(scope="session")

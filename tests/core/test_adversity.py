@@ -110,7 +110,7 @@ def test_sloppy_layout_does_not_win_over_an_exact_one():
     assert np.nanmax(np.abs(discs.points_px - scene.centres_px)) < 1.0
 
 
-@pytest.mark.parametrize("factor", [1.02, 1.05, 1.1])
+@pytest.mark.parametrize("factor", [1.02, 1.1])
 def test_grossly_wrong_corners_of_one_lens_view_is_rejected(usual, factor):
     """Also where most of its corners fade out, so that the rest fits perfectly."""
     views = list(usual.views)
@@ -131,15 +131,24 @@ def test_a_target_that_moved_in_one_rig_view_is_noticed(usual):
     assert not report.passed or report.figures["rejected"]
 
 
-def test_without_lens_views_it_does_not_pass_or_is_right(usual):
+@pytest.fixture(scope="module")
+def no_lens_views(usual):
+    """What comes of the rig views alone."""
+    return calibrate(usual.views[8:], usual.site)
+
+
+def test_without_lens_views_it_does_not_pass_or_is_right(usual, no_lens_views):
     """Pan and tilt alone do not determine the lens."""
-    calibration, report = calibrate(usual.views[8:], usual.site)
+    calibration, report = no_lens_views
     rows = _errors(usual, calibration)
     assert not report.passed or max(np.abs(z).max() for _, _, z in rows) < 3.0
 
 
-def test_calibration_without_lens_views_is_repeatable(usual):
-    a, b = (calibrate(usual.views[8:], usual.site)[0].calibrated.lens.parameters for _ in range(2))
+def test_calibration_without_lens_views_is_repeatable(usual, no_lens_views):
+    a, b = (
+        calibration.calibrated.lens.parameters
+        for calibration, _ in (no_lens_views, calibrate(usual.views[8:], usual.site))
+    )
     assert a == pytest.approx(b, rel=1e-5, abs=1e-6)
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import pkgutil
 import resource
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -38,12 +39,48 @@ def increment():
 """
 
 
+NURSERY = """
+import json, os, resource, runpy, sys
+import numba
+import core.compiled
+
+for line in sys.stdin:
+    order = json.loads(line)
+    if os.fork() == 0:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (order["limit"], order["limit"]))
+        numba.config.CACHE_DIR = order["cache"]
+        sys.path[:0] = [os.path.dirname(order["program"])]
+        runpy.run_path(order["program"], run_name="__main__")
+        print("done", flush=True)
+        os._exit(0)
+    _, status = os.wait()
+    if status:
+        print("failed", flush=True)
+"""
+"""Imports Numba once, which takes a second, and forks a process for each program."""
+
+
+@pytest.fixture(scope="module")
+def nursery() -> Iterator[subprocess.Popen[str]]:
+    """Where programs are started, as new as one from the shell but for their imports."""
+    with subprocess.Popen(
+        [sys.executable, "-B", "-c", NURSERY],
+        cwd=ROOT,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        yield process
+        process.stdin.close()
+
+
 class Program:
     """One that runs a compiled loop, and where Numba is to keep it."""
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, nursery: subprocess.Popen[str]) -> None:
         self._file, self.cache = directory / "loop.py", directory / "cache"
         self._file.write_text(LOOP)
+        self._nursery = nursery
         self.callee = directory / "callee.py"
         self.callee.write_text(CALLEE)
         self.limit = resource.RLIM_INFINITY
@@ -51,26 +88,18 @@ class Program:
 
     def run(self) -> list[int]:
         """Give what the loop gives, and how often it was found compiled."""
-        environ = os.environ | {"NUMBA_CACHE_DIR": str(self.cache), "PYTHONPATH": str(ROOT)}
-        command = [sys.executable, "-B", str(self._file)]
-        done = subprocess.run(
-            command,
-            env=environ,
-            capture_output=True,
-            text=True,
-            check=False,
-            preexec_fn=self._limit_files,
-        )
-        assert done.returncode == 0, done.stderr
-        return [int(word) for word in done.stdout.split()]
-
-    def _limit_files(self) -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (self.limit, self.limit))
+        order = {"program": str(self._file), "cache": str(self.cache), "limit": self.limit}
+        print(json.dumps(order), file=self._nursery.stdin, flush=True)
+        said = [self._nursery.stdout.readline().strip()]
+        while said[-1] not in {"done", "failed", ""}:
+            said.append(self._nursery.stdout.readline().strip())
+        assert said[-1] == "done", said
+        return [int(word) for word in said[0].split()]
 
 
 @pytest.fixture
-def program(tmp_path: Path) -> Program:
-    return Program(tmp_path)
+def program(tmp_path: Path, nursery: subprocess.Popen[str]) -> Program:
+    return Program(tmp_path, nursery)
 
 
 def test_a_loop_is_compiled_once(program: Program) -> None:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from core.results import Flag
-from drivers.sim.settings import Print, Scenario, SimSettings
+from drivers.sim.settings import Scenario
 from tests.core.scenes import MINUTE
-from tests.core.sessions import Session, session
+from tests.core.sessions import Session
 
-ROWS = 8
+ROWS = 6
 CASES = (
     *("night", "insect_main", "insect_sub", "snow", "glare", "rain"),
     *("cobweb main", "cobweb sub", "cover main", "cover sub"),
@@ -29,7 +31,8 @@ def test_no_wrong_value_is_called_good(usual: Session, case: str):
 
 
 @pytest.mark.parametrize("line_error_um", [0.0, 10.0, 60.0])
-def test_clear_rows_are_good_on_good_and_poor_prints(line_error_um: float):
-    printed = SimSettings(seed=5, print=Print(line_error_um=line_error_um))
-    rows = session(11000.0, printed, lens=8, rig=10).rows(12, every_min=47.0)
+def test_clear_rows_are_good_on_good_and_poor_prints(
+    printed: Callable[[float], Session], line_error_um: float
+):
+    rows = printed(line_error_um).rows(12, every_min=47.0)
     assert [row.measurement.reasons for row in rows] == [()] * 12

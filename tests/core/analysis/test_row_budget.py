@@ -197,7 +197,7 @@ def test_a_monte_carlo_of_the_model_agrees_with_the_budget(
     else:
         found, terms = measured(usual, stable=False)
         budget = row_budget(usual.site, usual.calibration.calibrated, state_of(found), terms)
-    drawn = monte_carlo(budget, 4000, np.random.default_rng(5))
+    drawn = monte_carlo(budget, 1500, np.random.default_rng(5))
     assert drawn is not None
     assert drawn.agrees, drawn.ratio
     assert drawn.interval_ratio == pytest.approx(1.0, abs=0.1)
@@ -211,10 +211,10 @@ def test_a_budget_that_forgets_a_cause_is_found_by_the_monte_carlo(usual: Sessio
         budget,
         inputs=tuple(one for one in budget.inputs if "pose of the board, from" not in one.name),
     )
-    drawn = monte_carlo(short, 5000, np.random.default_rng(5))
+    drawn = monte_carlo(short, 3000, np.random.default_rng(5))
     assert drawn is not None
     assert not drawn.agrees
-    assert drawn.trials < 5000  # it ends once that is decided
+    assert drawn.trials < 3000  # it ends once that is decided
 
 
 @pytest.mark.parametrize(

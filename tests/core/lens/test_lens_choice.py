@@ -21,7 +21,7 @@ LENSES = {
 }
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("model", list(LENSES))
 def test_the_true_model_is_chosen(model: LensModel, seed: int) -> None:
     """Neither one with too few coefficients, nor one with some to spare."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -42,33 +42,50 @@ def stated_mm(rows: Sequence[sites.Row]) -> FloatArray:
     return np.sqrt(np.mean([np.diag(row.covariance_mm2) for row in rows], axis=0))
 
 
-def predicted_mm(case: sites.Case, seed: int) -> FloatArray:
-    """(2,) sigma of x and y for the rig anywhere within the drift."""
-    planned, calibration_plan = drawn(case, seed)
-    calibrated = predict_calibration(planned, calibration_plan)
-    noise = FrameNoise(0.0, 0.0) if case.quiet_rows else FrameNoise()
-    return predict_accuracy(drift_rows(planned, calibrated), calibrated.posterior, noise).drifted_mm
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """One site: the sigma predicted, and its rows, with noise of their own and without."""
+
+    predicted_mm: FloatArray
+    """(2,) of x and y for the rig anywhere within the drift."""
+    rows: tuple[sites.Row, ...]
+    predicted_quiet_mm: FloatArray
+    quiet_rows: tuple[sites.Row, ...]
 
 
-@pytest.mark.parametrize("kind", ["lab", "field"])
-def test_sites_measure_as_predicted(kind: sites.Kind) -> None:
-    """Each site's rows say the sigma that was predicted; together they err by as much."""
-    case = sites.Case(kind, shrink=4.0)
-    errors = []
+@pytest.fixture(scope="module", params=["lab", "field"])
+def compared(request: pytest.FixtureRequest) -> list[Compared]:
+    """Some sites."""
+    case, found = sites.Case(request.param, shrink=4.0), []
     for seed in range(1, SITES + 1):
-        predicted = predicted_mm(case, seed)
-        rows = sites.run_numbers(case, seed).rows
-        assert predicted == pytest.approx(stated_mm(rows), rel=0.2)
-        errors.append([row.error_mm / predicted for row in rows])
+        planned, calibration_plan = drawn(case, seed)
+        calibrated = predict_calibration(planned, calibration_plan)
+        rows, posterior = drift_rows(planned, calibrated), calibrated.posterior
+        made = sites.make_numbers(case, seed)
+        found.append(
+            Compared(
+                predict_accuracy(rows, posterior, FrameNoise()).drifted_mm,
+                sites.measured(made, made.pairs, quiet=False),
+                predict_accuracy(rows, posterior, FrameNoise(0.0, 0.0)).drifted_mm,
+                sites.measured(made, sites.quiet_pairs(made, case), quiet=True),
+            )
+        )
+    return found
+
+
+def test_sites_measure_as_predicted(compared: list[Compared]) -> None:
+    """Each site's rows say the sigma that was predicted; together they err by as much."""
+    errors = []
+    for one in compared:
+        assert one.predicted_mm == pytest.approx(stated_mm(one.rows), rel=0.2)
+        errors.append([row.error_mm / one.predicted_mm for row in one.rows])
     assert 1.0 / 1.5 < np.sqrt(np.mean(np.square(errors))) < 1.5
 
 
-@pytest.mark.parametrize("kind", ["lab", "field"])
-def test_calibrations_know_as_much_as_predicted(kind: sites.Kind) -> None:
+def test_calibrations_know_as_much_as_predicted(compared: list[Compared]) -> None:
     """Likewise the calibration's part alone, mostly smaller than a row's own noise."""
-    case = sites.Case(kind, shrink=4.0, quiet_rows=True)
-    for seed in (1, 2, 3):
-        ratio = predicted_mm(case, seed) / stated_mm(sites.run_numbers(case, seed).rows)
+    for one in compared:
+        ratio = one.predicted_quiet_mm / stated_mm(one.quiet_rows)
         assert (ratio > 1.0 / 1.5).all()
         assert (ratio < 1.5).all()
 

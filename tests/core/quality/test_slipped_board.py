@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -11,16 +13,14 @@ from core.images import GreyImage
 from core.measurement import measure_pair
 from core.quality.print_fingerprint import print_mismatch
 from core.results import Flag, Reason
-from drivers.sim.settings import Print, SimSettings
 from tests.core.scenes import MINUTE, grey
-from tests.core.sessions import Session, session
+from tests.core.sessions import Session
 
 
 @pytest.fixture(scope="module", params=[1.0, 4.0, 10.0], ids=lambda um: f"{um:g}um")
-def lab(request) -> Session:
+def lab(request, printed: Callable[[float], Session]) -> Session:
     """Boards whose lines are off by less and by more than a printer's."""
-    settings = SimSettings(seed=3, print=Print(line_error_um=request.param))
-    return session(11000.0, settings, lens=8, rig=10)
+    return printed(request.param)
 
 
 def sub_image(lab: Session, minute: int) -> GreyImage:
@@ -28,7 +28,7 @@ def sub_image(lab: Session, minute: int) -> GreyImage:
 
 
 def test_the_calibrated_board_is_not_taken_for_another(lab):
-    rows = lab.rows(40, every_min=37.0)
+    rows = lab.rows(15, every_min=97.0)
     assert all(Reason.SUB_TARGET_CHANGED not in row.measurement.reasons for row in rows)
 
 

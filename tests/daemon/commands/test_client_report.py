@@ -104,7 +104,7 @@ def report(measured: Path) -> tuple[Cells, str, Path]:
     page, pdf = measured / "a.html", measured / "a.pdf"
     arguments = (
         *("--config", measured / "dcam.toml", "--state", measured / "state", "report"),
-        *("--output", page, "--output", pdf, "--trials", 2000),
+        *("--output", page, "--output", pdf, "--trials", 500),
         *("--reference", measured / "survey.csv"),
     )
     assert run(cli, "dcam-ctl", [str(word) for word in arguments]) == 0

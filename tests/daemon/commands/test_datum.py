@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -23,14 +24,14 @@ LATER = timedelta(days=1)
 
 
 class Chain:
-    """A state with a calibration, to which another is added from the same images."""
+    """A state with a calibration, to which another is added from the same images a day later."""
 
-    def __init__(self, bench: Path, calibrated: Path, directory: Path, ctl: Ctl) -> None:
+    def __init__(self, bench: Path, later: Path, state: Path, directory: Path, ctl: Ctl) -> None:
         self._ctl, self.config = ctl, bench / "dcam.toml"
-        self.state = Path(shutil.copytree(calibrated, directory / "state"))
-        self.first = bench / "set"
-        self.later = Path(shutil.copytree(bench / "set", directory / "later"))
-        edit_table(self.later, lambda lines: [lines[0], *map(_later, lines[1:])])
+        self.state = Path(shutil.copytree(state, directory / "state"))
+        self.first, self.later = bench / "set", later
+        self.said = ""
+        """By the calibration a day later."""
 
     def ctl(self, *arguments: object) -> Ran:
         return self._ctl("--config", self.config, "--state", self.state, *arguments)
@@ -52,13 +53,55 @@ def _later(line: str) -> str:
     return f"{(datetime.fromisoformat(slot) + LATER):%Y-%m-%dT%H:%M:%SZ},{rest}"
 
 
+@pytest.fixture(scope="module")
+def later(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The frame set with the times of a day later; not to be changed."""
+    made = Path(shutil.copytree(bench / "set", tmp_path_factory.mktemp("later") / "set"))
+    edit_table(made, lambda lines: [lines[0], *map(_later, lines[1:])])
+    return made
+
+
 @pytest.fixture
-def chain(bench: Path, calibrated: Path, tmp_path: Path, ctl: Ctl) -> Chain:
-    return Chain(bench, calibrated, tmp_path, ctl)
+def chain(bench: Path, later: Path, calibrated: Path, tmp_path: Path, ctl: Ctl) -> Chain:
+    return Chain(bench, later, calibrated, tmp_path, ctl)
 
 
-def test_lens_views_since_the_old_reference_mean_that_the_board_was_taken_off(chain: Chain) -> None:
-    said = chain.calibrate().out
+Continued = Callable[..., Chain]
+
+
+@pytest.fixture(scope="module")
+def made_later() -> dict[tuple[object, ...], tuple[Path, str]]:
+    """States with the second calibration, by its options, and what it said; not to be changed."""
+    return {}
+
+
+@pytest.fixture
+def continued(
+    chain: Chain,
+    made_later: dict[tuple[object, ...], tuple[Path, str]],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Continued:
+    """Give the chain with the second calibration; with the same options it is made once."""
+
+    def give(*options: object) -> Chain:
+        if options in made_later:
+            state, chain.said = made_later[options]
+            shutil.rmtree(chain.state)
+            shutil.copytree(state, chain.state)
+        else:
+            chain.said = chain.calibrate(*options).out
+            kept = tmp_path_factory.mktemp("continued") / "state"
+            made_later[options] = Path(shutil.copytree(chain.state, kept)), chain.said
+        return chain
+
+    return give
+
+
+def test_lens_views_since_the_old_reference_mean_that_the_board_was_taken_off(
+    continued: Continued,
+) -> None:
+    chain = continued()
+    said = chain.said
     assert "zero: not measured by calibration 1: lens views of 2026-03-01T23:46:00Z" in said
     assert "by the last good row" in said
     first, second = chain.links()
@@ -69,8 +112,9 @@ def test_lens_views_since_the_old_reference_mean_that_the_board_was_taken_off(ch
     assert abs(second["y_mm"]) < 3.0 * second["sigma_y_mm"]
 
 
-def test_an_untouched_board_carries_the_zero_over(chain: Chain) -> None:
-    said = chain.calibrate("--board-untouched").out
+def test_an_untouched_board_carries_the_zero_over(continued: Continued) -> None:
+    chain = continued("--board-untouched")
+    said = chain.said
     assert "zero: x " in said
     assert "measured by calibration 1" in said
     _, second = chain.links()
@@ -99,6 +143,7 @@ def test_another_camera_and_the_readings_at_the_zero_are_in_the_report(chain: Ch
     chain.config.write_text(
         f'{serial}\n[[reading]]\nname = "air"\nunit = "degC"\nfile = "/sys/none"\n'
     )
+    chain.later = Path(shutil.copytree(chain.later, chain.state.parent / "later"))
     edit_table(chain.later, lambda lines: [f"{lines[0]},reading_air", *_with(lines[1:], "12.5")])
     said = chain.calibrate("--board-untouched").out
     assert "readings at the reference: air 12.5 degC" in said
@@ -115,9 +160,9 @@ def _with(lines: list[str], value: str) -> list[str]:
     return [f"{line},{value}" for line in lines]
 
 
-def test_the_same_images_calibrated_again_have_the_same_zero(chain: Chain) -> None:
+def test_the_same_images_calibrated_again_have_the_same_zero(continued: Continued) -> None:
     """Also behind another one: the offset of the first calibration on them is known exactly."""
-    chain.calibrate("--board-untouched")
+    chain = continued("--board-untouched")
     ran = chain.ctl("calibrate", "--from", chain.later, "--accept", "--method", "paper")
     assert ran.code == 0, ran.err
     assert "which is that of calibration 2" in ran.out
@@ -129,8 +174,10 @@ def test_the_same_images_calibrated_again_have_the_same_zero(chain: Chain) -> No
     assert (chain.links()[-1]["y_mm"], chain.links()[-1]["sigma_y_mm"]) == (0.0, 0.0)
 
 
-def test_a_survey_moves_rows_and_is_shown_with_its_source(chain: Chain, tmp_path: Path) -> None:
-    chain.calibrate("--board-untouched")
+def test_a_survey_moves_rows_and_is_shown_with_its_source(
+    continued: Continued, tmp_path: Path
+) -> None:
+    chain = continued("--board-untouched")
     moved_mm = 12.3 - chain.links()[1]["y_mm"]
     table = tmp_path / "a.csv"
     assert chain.ctl("reprocess", "--from", chain.later, "--output", table).code == 0
@@ -148,8 +195,8 @@ def test_a_survey_moves_rows_and_is_shown_with_its_source(chain: Chain, tmp_path
         assert sigma_y_mm == pytest.approx(0.5, abs=0.05)
 
 
-def test_frames_that_both_calibrations_measured_join_them(chain: Chain) -> None:
-    chain.calibrate()
+def test_frames_that_both_calibrations_measured_join_them(continued: Continued) -> None:
+    chain = continued()
     wide = chain.links()[1]["sigma_y_mm"]
     ran = chain.ctl("datum", "adjust", "--from", chain.later)
     assert ran.code == 0, ran.err
@@ -161,8 +208,10 @@ def test_frames_that_both_calibrations_measured_join_them(chain: Chain) -> None:
     assert abs(second["y_mm"]) < 3.0 * second["sigma_y_mm"]
 
 
-def test_frames_that_contradict_the_link_are_not_believed_without_a_word(chain: Chain) -> None:
-    chain.calibrate()
+def test_frames_that_contradict_the_link_are_not_believed_without_a_word(
+    continued: Continued,
+) -> None:
+    chain = continued()
     assert chain.ctl("datum", "set", "--x", 40, "--y", 0, "--sigma", 0.1, "--source", "x").code == 0
     ran = chain.ctl("datum", "adjust", "--from", chain.later)
     assert ran.code == 1

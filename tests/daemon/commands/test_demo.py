@@ -22,14 +22,23 @@ from daemon.store.integrity.checksum import row_digest
 from tests.daemon.commands.conftest import Ctl
 
 PNG = b"\x89PNG\r\n\x1a\n"
+SMALLER = (
+    *(("1920", "640"), ("1200\npixel", "400\npixel"), ("5.86", "17.58")),
+    *(("squares_x = 32", "squares_x = 16"), ("squares_y = 31", "squares_y = 15")),
+    ("square_mm = 2.0", "square_mm = 4.0"),
+)
 
 
 @pytest.fixture
 def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The demo's site on sensors of half the pixels, for its first 24 slots."""
+    """The demo's site on sensors of a third of the pixels, for its first 24 slots.
+
+    Its board has a quarter of the squares, so that a calibration takes a third of the time.
+    """
     text = demo.SITE.read_text()
-    for full, half in demo_season.SMALLER:
-        text = text.replace(full, half)
+    for whole, part in SMALLER:
+        assert whole in text
+        text = text.replace(whole, part)
     site = tmp_path / "small.toml"
     site.write_text(text)
     monkeypatch.setattr(demo, "SITE", site)
@@ -147,8 +156,7 @@ def test_without_matplotlib_it_says_how_to_install_it(
     assert "no figure: matplotlib is not installed; " in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("suffix", ["png", "svg"])
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize(("suffix", "known"), [("png", True), ("svg", False)])
 def test_figure_is_drawn_with_and_without_truth(tmp_path: Path, suffix: str, known: bool) -> None:
     """Every flag, rows without motion, and a gap at the very end."""
     start = datetime(2026, 3, 1, tzinfo=UTC)

@@ -30,7 +30,7 @@ from tests.daemon.commands.conftest import Ctl, rows_of
 from tests.waiting import wait_for
 
 DCAM_CTL = Path(sys.executable).with_name("dcam-ctl")
-LONG = 45
+LONG = 41
 """Slots: three chunks."""
 
 

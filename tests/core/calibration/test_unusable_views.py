@@ -1,0 +1,109 @@
+"""Views that cannot be used are rejected by name; too few are refused with what is missing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from core.calibration.calibrate import Method, ViewRole, calibrate
+from core.errors import CalibrationError, NotObservableError
+from core.images import GreyImage
+from tests.core.boards import BoardScene
+from tests.core.sessions import Session, all_views
+
+
+def _rejected(session: Session, changes: dict[int, dict[str, object]]) -> dict[str, str]:
+    """Views rejected when some are changed, with their reasons; the rest makes a calibration."""
+    views = list(session.views)
+    for index, change in changes.items():
+        views[index] = replace(views[index], **change)
+    _, report = calibrate(views, session.site)
+    assert report.passed
+    reasons = {r["view"]: r["reason"] for r in report.figures["rejected"]}
+    for name, reason in reasons.items():
+        assert f"rejected {name}: {reason}" in report.lines
+    return reasons
+
+
+def _stretched(image: GreyImage, factor: float) -> GreyImage:
+    matrix = np.array([[factor, 0.0, (1.0 - factor) * image.pixels.shape[1] / 2], [0.0, 1.0, 0.0]])
+    size = image.pixels.shape[::-1]
+    return GreyImage(cv2.warpAffine(image.pixels, matrix, size, borderMode=cv2.BORDER_REPLICATE))
+
+
+def test_views_that_show_too_little_are_rejected_by_name(quick: Session) -> None:
+    """A blank image, another board, no main image, a wrong size: each with its own reason."""
+    other = replace(quick.site.sub_target, squares_x=30, squares_y=20, square_mm=1.4)
+    blank = GreyImage(np.full_like(quick.views[0].sub.pixels, 90))
+    reasons = _rejected(
+        quick,
+        {
+            0: {"sub": blank},
+            1: {"sub": BoardScene(target=other).image()},
+            8: {"main": None},
+            10: {"sub": GreyImage(quick.views[10].sub.pixels[:200])},
+        },
+    )
+    assert set(reasons) == {"lens 0", "lens 1", "rig 3", "rig 5"}
+    assert reasons["lens 0"].startswith("no checkerboard")
+    assert "the config says 22x15 squares" in reasons["lens 1"]
+    assert reasons["rig 3"] == "no main image"
+    assert "480x200" in reasons["rig 5"]
+
+
+def test_a_lens_view_that_does_not_fit_is_rejected_by_name(quick: Session) -> None:
+    """A hundredth wider than it should be: a board that was bent, or another lens."""
+    reasons = _rejected(quick, {2: {"sub": _stretched(quick.views[2].sub, 1.01)}})
+    assert list(reasons) == ["lens 2"]
+
+
+# ------------------------------------------------------------------ refused
+
+
+PAN_ONLY = [(a, 0.0) for a in (-0.15, -0.07, 0.06, 0.1, 0.14)]
+TILT_ONLY = [(0.0, a) for a in (-0.08, -0.04, 0.03, 0.05, 0.07)]
+TOGETHER = [(2 * a, a) for a in (-0.08, -0.04, 0.03, 0.05, 0.07)]
+
+
+@pytest.mark.parametrize(
+    ("motion", "missing", "method"),
+    [
+        (PAN_ONLY, "missing motion: tilt", Method.RIGID),
+        (PAN_ONLY, "missing motion: tilt", Method.PAPER),
+        (TILT_ONLY, "missing motion: pan", Method.RIGID),
+        (TOGETHER, "always moved together", Method.RIGID),
+        ([(0.0, 0.0)] * 5, "turned by only", Method.RIGID),
+        ([(0.1, 0.05), (-0.1, 0.05), (0.1, -0.05)], "3 usable rig positions", Method.RIGID),
+    ],
+    ids=["pan only", "pan only, paper", "tilt only", "together", "at rest", "too few"],
+)
+def test_motions_that_determine_too_little_are_refused(quick, motion, missing, method) -> None:
+    """The message names the motion that is missing."""
+    rest = all_views(quick.world, 0, motion)
+    with pytest.raises(NotObservableError, match=missing):
+        calibrate([*quick.views[:5], *rest], quick.site, method)
+
+
+def test_without_what_is_needed_the_error_says_what(quick: Session) -> None:
+    lens, reference, rig = quick.views[:5], quick.views[5], quick.views[6:]
+    assert reference.role is ViewRole.REFERENCE
+    with pytest.raises(CalibrationError, match="0 reference views given, exactly one"):
+        calibrate([*lens, *rig], quick.site)
+    with pytest.raises(CalibrationError, match="2 reference views given, exactly one"):
+        calibrate([*lens, reference, reference, *rig], quick.site)
+    with pytest.raises(CalibrationError, match="no rig views"):
+        calibrate([*lens, reference], quick.site)
+    with pytest.raises(CalibrationError, match="0 reference views"):
+        calibrate([], quick.site)
+
+
+@pytest.mark.parametrize("which", ["main", "sub"])
+def test_a_reference_that_shows_nothing_is_refused_by_name(quick: Session, which) -> None:
+    black = GreyImage(np.zeros_like(getattr(quick.views[5], which).pixels))
+    views = list(quick.views)
+    views[5] = replace(views[5], **{which: black})
+    with pytest.raises(CalibrationError, match=r"reference view reference: .*again"):
+        calibrate(views, quick.site)
