@@ -11,11 +11,17 @@ import pytest
 
 from core.calibration.calibrate import Calibration
 from core.geometry.lens import Lens
+from core.images import GreyImage
 from core.results import Displacement, Flag, Measurement, RigMotion
+from core.rig.calibrated_target import CalibratedTarget
+from core.site import CirclesTarget, ExtraTarget, TargetRole
 from daemon.config.reading import load_config
 from daemon.datum.candidates import (
     Candidate,
+    Known,
+    NewReference,
     SeenRow,
+    by_fixed_targets,
     by_rows,
     candidate,
     drift_beyond,
@@ -24,6 +30,7 @@ from daemon.datum.candidates import (
 )
 from daemon.datum.chain import origin
 from daemon.datum.choice import choose, judged
+from daemon.slots.measuring import ActiveCalibration
 from daemon.store.database import open_store_readonly
 from daemon.store.records import DatumMethod, DatumStep
 from tests.daemon.commands.conftest import bench, calibrated
@@ -126,3 +133,35 @@ def test_a_lost_zero_may_be_anywhere_in_the_image(bench: Path) -> None:
     assert found.offset.mm.tolist() == [0.0, 0.0]
     assert "THE ZERO IS LOST" in found.words
     assert "dcam-ctl datum set" in found.words
+
+
+@pytest.mark.parametrize(("spread_mm", "expected_mm"), [(0.0, 0.1), (0.36, 0.239)])
+def test_through_a_fixed_target_a_rig_that_wanders_has_a_wider_zero(
+    bench: Path, made: Calibration, spread_mm: float, expected_mm: float
+) -> None:
+    """Rows days apart show where the rig can be: of that the hour since the last brings a part."""
+    site, old = load_config(bench / "dcam.toml").site(), made.calibrated
+    beside = CirclesTarget(site.main_target.centres_mm, np.full(5, 8.0), 11125.0, 20.0)
+    site = replace(site, extra_targets=(ExtraTarget("pier", TargetRole.FIXED, beside),))
+    places_px = old.reference_discs_px + np.array([120.0, 10.0])
+    plate = CalibratedTarget(
+        "pier", TargetRole.FIXED, places_px, np.full(5, 1e-7), old.B, 11125.0, 20.0
+    )
+    calibration = replace(made, calibrated=replace(old, further=(plate,)))
+    hours = [*(72.0 * k for k in range(19, 0, -1)), 1.0]
+    still = Displacement(np.zeros(2), 1e-6 * np.eye(2))
+    rows = [
+        SeenRow(
+            NOW - timedelta(hours=before),
+            still,
+            1,
+            motion=RigMotion(np.zeros(3), side * np.full(3, spread_mm), np.eye(6)),
+        )
+        for before, side in zip(hours, [-1.0, 1.0] * 10, strict=True)
+    ]
+    known = Known(ActiveCalibration(1, calibration), NOW - timedelta(days=60))
+    sub = GreyImage(np.zeros((2, 2), np.uint8))  # it is not looked at
+    new = NewReference(NOW, None, sub, calibration, None, None)
+    found = by_fixed_targets(known, new, site, rows)
+    assert found is not None
+    assert found.sigma_mm == pytest.approx([expected_mm * 125.0 / 11125.0] * 2, rel=0.3)
