@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import argparse
 import os
+import resource
 import sqlite3
+import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -22,7 +25,6 @@ from sqlalchemy import insert, text
 
 from benchmarks.record import fill
 from daemon.fleet.sync import Sync
-from daemon.fleet.verdict import judge_fleet
 from daemon.outputs.backoff import Backoff
 from daemon.store.central.connecting import (
     Central,
@@ -39,6 +41,7 @@ from tests.daemon.fleet.postgres import Proxy, Server, cut_at_random
 
 _MOST_BYTES = 12_000_000
 """Of a connection that is cut: the cuts lie all over the run."""
+EXAMPLE = Path(__file__).parents[1] / "config.example.toml"
 _BEGIN = datetime(2026, 3, 1, tzinfo=UTC)
 _PIERS_A_SECOND = 167
 
@@ -141,6 +144,9 @@ def many_piers(server: Server, piers: int, seconds: int, minutes: int) -> None:
         with closing(sqlite3.connect(Path(scratch) / "dcam.db")) as connection:
             connection.row_factory = sqlite3.Row
             row = dict(connection.execute("SELECT * FROM measurement").fetchone())
+    # As large as what a pier says: 40 things, each with a sentence.
+    one = {"name": "calibration", "level": "ok", "text": "fits the config; made 23 days ago"}
+    said = {"level": "ok", "items": [one] * 40}
     sites: list[dict[str, Any]] = [
         {
             "name": f"pier-{number:05d}",
@@ -151,7 +157,9 @@ def many_piers(server: Server, piers: int, seconds: int, minutes: int) -> None:
             "period_s": 60,
             "level": 2 if number % 500 == 0 else 0,
             "summary": "coverage 24 h: 99.9 %",
-            "alarms": number % 500 == 0,
+            "alarms": int(number % 500 == 0),
+            "status": said,
+            "config": EXAMPLE.read_text(encoding="utf-8"),
         }
         for number in range(piers)
     ]
@@ -193,12 +201,28 @@ def many_piers(server: Server, piers: int, seconds: int, minutes: int) -> None:
     print(f"{piers} piers, {rows} rows in {took_s:.0f} s, {rows / took_s:.0f} rows/s")
     print(f"  rows there, each once: {count} of {rows}; latest sync {late_s[0]:.1f} s late")
     print(f"  processor: server {server_s:.0f} s, piers {piers_s:.0f} s")
-    for _ in range(3):
-        begin_s, status_cpu_s = time.monotonic(), time.process_time()
-        found = judge_fleet(read_sites(central), 1800.0)
-        status_s, cpu_s = time.monotonic() - begin_s, time.process_time() - status_cpu_s
-        print(f"  status of {len(found)} sites in {status_s:.2f} s, {cpu_s:.2f} s of processor")
     central.close()
+    status_of_all(server, piers)
+
+
+def status_of_all(server: Server, piers: int) -> None:
+    """What `dcam-ctl status --fleet` takes, with the start of the program, and what the server."""
+    with tempfile.TemporaryDirectory() as scratch:
+        config = Path(scratch) / "centre.toml"
+        config.write_text(f'[fleet]\nurl = "{server.url("many_piers")}"\n')
+        words = [sys.executable, "-m", "daemon.ctl", "--config", str(config), "status", "--fleet"]
+        for _ in range(3):
+            before, begin_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
+            server_s = _server_cpu_s(server)
+            subprocess.run(words, check=False, stdout=subprocess.DEVNULL)
+            after, took_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic() - begin_s
+            cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+            time.sleep(1.0)  # the server's process for it ends
+            server_s = _server_cpu_s(server) - server_s
+            print(
+                f"  status --fleet of {piers} sites: {took_s:.2f} s, processor {cpu_s:.2f} s, "
+                f"server {server_s:.2f} s"
+            )
 
 
 def _server_cpu_s(server: Server) -> float:
