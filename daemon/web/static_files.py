@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import mimetypes
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +12,8 @@ from starlette.responses import Response
 
 from daemon.web.answers import LEAST_TO_PACK, packed
 
+_KINDS = {".js": "text/javascript", ".css": "text/css", ".json": "application/json"}
+"""The machine's own list may say another thing, and a browser then refuses a script."""
 _LEVEL = 9
 """Of gzip: done once, and what crosses a slow tunnel is smallest."""
 
@@ -51,6 +52,6 @@ class StaticFiles:
 
 def _read(path: Path) -> _File:
     body = path.read_bytes()
-    kind = mimetypes.guess_type(path.name)[0] or "application/octet-stream"
+    kind = _KINDS.get(path.suffix, "text/plain")
     tag = f'W/"{hashlib.blake2b(body, digest_size=12).hexdigest()}"'
     return _File(body, packed(body, _LEVEL) if len(body) >= LEAST_TO_PACK else None, kind, tag)
