@@ -134,7 +134,7 @@ def check_workers(client: Any, tell: Tell) -> None:
     """Require that all workers are of this process's versions. Raises WorkFailedError."""
     for worker, answer in client.run(own_identity, on_error="return").items():
         if isinstance(answer, BaseException):
-            msg = f"worker {worker}: does not run dcam ({answer}); install dcam[dask] there"
+            msg = f"worker {worker}: does not run dcam ({answer}); install it there, with dask"
             raise WorkFailedError(msg)
         _require_alike(answer, str(worker))
         if answer.processor != own_identity().processor:
