@@ -227,16 +227,23 @@ def test_values_are_those_of_reprocess_on_the_same_images(
 def test_values_are_true(place: Place, history: dict[str, datetime]) -> None:
     """Against the simulator's truth of the scene that was in front of the cameras."""
     truth = [row for row in _rows(place.frames / "truth.csv") if row["role"] == "measure"]
-    errors_mm, false_mm = [], []
-    rows = place.query("SELECT main_frame, sub_frame, x_mm, y_mm FROM measurement")
-    for main, sub, x_mm, y_mm in rows:
+    z, sigmas_mm, false_mm = [], [], []
+    rows = place.query(
+        "SELECT main_frame, sub_frame, x_mm, y_mm, sigma_image_x_mm, sigma_image_y_mm"
+        " FROM measurement"
+    )
+    for main, sub, *values in rows:
+        x_mm, y_mm, *sigma_mm = map(float, values)
         scene = place.scene("main", main)
         if place.scene("sub", sub) == scene:  # not triggered just when the scene changed
             true = truth[scene]
-            errors_mm += [float(x_mm) - float(true["x_mm"]), float(y_mm) - float(true["y_mm"])]
+            errors_mm = x_mm - float(true["x_mm"]), y_mm - float(true["y_mm"])
+            z += [abs(error) / sigma for error, sigma in zip(errors_mm, sigma_mm, strict=True)]
+            sigmas_mm += sigma_mm
             false_mm.append(abs(float(true["false_y_mm"])))
     assert len(false_mm) >= len(rows) - 1
-    assert max(map(abs, errors_mm)) < 0.3
+    assert max(z) < 4.5
+    assert max(sigmas_mm) < 0.3
     assert max(false_mm) > 2.0  # or there was nothing to compensate
 
 
