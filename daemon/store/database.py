@@ -63,8 +63,7 @@ def open_store(
 ) -> Store:
     """Open the database of a state directory for writing; make or migrate it as allowed.
 
-    Its newest rows are looked at, unless it was `checked` before; it is saved under a dated name
-    (of `now_utc`) before a migration.
+    Its newest rows are looked at, unless it was `checked`; before a migration it is saved, dated.
     Raises DatabaseMissingError, DatabaseDamagedError, DatabaseNewerError, DatabaseOlderError.
     """
     path = path_for_writing(directory, create=create, checked=checked)
