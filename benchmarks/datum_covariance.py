@@ -67,7 +67,7 @@ class Way:
     name: str
     has_plate: bool
     by_plate: bool = False
-    """Whether the board is bonded anew each time, and the fixed plate links the references."""
+    """Whether the board is bonded again each time, and the fixed plate links the references."""
 
 
 WAYS = (

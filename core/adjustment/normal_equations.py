@@ -246,15 +246,8 @@ class AdjustmentProblem:
         flat, rest = np.empty((residual.size, shared + 6)), np.empty(residual.size)
         add_corners(
             *(view.index, whiten, white, weights, by_lens, by_point, rotated, R),
-            *(
-                self.shape_terms,
-                pose.start,
-                flat,
-                rest,
-                system.cross,
-                system.corner,
-                system.corner_right,
-            ),
+            *(self.shape_terms, pose.start, flat, rest),
+            *(system.cross, system.corner, system.corner_right),
         )
         columns = np.r_[:shared, pose]
         system.dense[np.ix_(columns, columns)] += flat.T @ flat
