@@ -54,6 +54,15 @@ BREAKS = {
 """One forbidden import for each contract."""
 
 
+AT_THE_TOP = {
+    *(".ci", ".gitignore", ".npmrc", "CHANGELOG.md", "LICENSE", "Makefile", "README.md"),
+    *("benchmarks", "config.example.toml", "core", "daemon", "deploy", "docs", "drivers"),
+    *("hatch_build.py", "migrations", "package-lock.json", "package.json", "pyproject.toml"),
+    *("studies", "systemd", "tests"),
+}
+"""What belongs beside the README; a build or a download leaves nothing here that is kept."""
+
+
 def python_files(package: str) -> list[Path]:
     """Every Python file below a top-level folder."""
     files = sorted((ROOT / package).rglob("*.py"))
@@ -75,6 +84,12 @@ def lint_imports(directory: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-c", command], cwd=directory, capture_output=True, text=True, check=False
     )
+
+
+def test_nothing_lies_at_the_top_that_does_not_belong_there() -> None:
+    ignored = {line.strip("/") for line in (ROOT / ".gitignore").read_text().split()} | {".git"}
+    found = {path.name for path in ROOT.iterdir() if not any(map(path.match, ignored))}
+    assert found == AT_THE_TOP
 
 
 def test_import_contracts_are_kept() -> None:
