@@ -132,8 +132,13 @@ def list_loaded() -> None:
     sys.dont_write_bytecode = True
     for name in [*dict.fromkeys(imports()), *LOADED_BY_NAME]:
         # Not a module but a name in one, or of a library that is not there: nothing to compile.
-        with contextlib.suppress(Exception):
+        try:
             importlib.import_module(name)
+        except Exception:  # noqa: BLE001 - whatever a library raises
+            if (
+                name.partition(".")[0] in OURS
+            ):  # nor for the next that needs it, which fails at once
+                sys.modules.setdefault(name, None)
     with contextlib.suppress(ModuleNotFoundError):  # loads its hundred receivers at its first use
         importlib.import_module("apprise").Apprise().add("json://localhost")
     files = {path for ours in OURS for path in (SITE / ours).rglob("*.py")}

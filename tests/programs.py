@@ -28,7 +28,8 @@ from typing import Self, TextIO
 from tests.waiting import PATIENCE_S, wait_for
 
 ROOT = Path(__file__).parents[1]
-
+PRELOADED = ["tests.loaded"]
+"""What a process has loaded that programs are forked from."""
 
 Stream = Path | int | None
 """A file that output is added to, PIPE for a pipe to the test, or None: it is lost."""
@@ -146,7 +147,7 @@ def _state(pid: int) -> str:
 def _server() -> ForkServerContext:
     """The process that has loaded everything, one for each process of the tests."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["tests.loaded"])
+    context.set_forkserver_preload(PRELOADED)
     return context
 
 

@@ -6,59 +6,83 @@ import os
 import re
 import signal
 import socket
-import subprocess
-import sys
+from collections.abc import Iterator
+from contextlib import closing
 from datetime import datetime, timedelta
+from multiprocessing import forkserver
 from pathlib import Path
 
 import libfaketime
 import pytest
 
 from daemon.store.database import ALWAYS, open_store
-from tests.daemon.commands.conftest import SIMULATED
+from tests.daemon.commands.conftest import SMALL
+from tests.programs import PRELOADED, Program
 from tests.waiting import PATIENCE_S
 
-ROOT = Path(__file__).parents[2]
 LIBRARY = next(Path(libfaketime.__file__).parent.rglob("libfaketime.so.1"))
-SECONDS = SIMULATED.replace(
-    "[simulation]", '[schedule]\nperiod_s = 1\n[simulation]\nclock = "system"'
-)
+SECONDS = SMALL.replace("[simulation]", '[schedule]\nperiod_s = 1\n[simulation]\nclock = "system"')
 DAY_S, HOUR_S = 86_400, 3_600
 BUILD_DATE_S = -1_400 * DAY_S
 """About where a computer without a battery wakes: at the day its systemd was built."""
 
 
-class Station:
-    """A dcamd with a slot every second, under a clock that the test sets."""
+class FakedClock:
+    """The clock of all programs that are started meanwhile, which a test sets."""
 
     def __init__(self, directory: Path) -> None:
-        self.state, self.log = directory / "state", directory / "log"
-        self.config, self._shift = directory / "dcam.toml", directory / "shift"
-        self.config.write_text(SECONDS, encoding="utf-8")
-        self._manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._manager.bind(str(directory / "notify"))
-        self._manager.settimeout(PATIENCE_S)
-        self._address = str(directory / "notify")
+        self._shift = directory / "shift"
+        self.set(0)
+        self._programs = forkserver.ForkServer()
+        self._programs.set_forkserver_preload(PRELOADED)
 
-    def set_clock(self, shift_s: int) -> None:
+    def set(self, shift_s: int) -> None:
         """Step the clock: so far from the true time from now on."""
         new = self._shift.with_suffix(".new")
         new.write_text(f"{shift_s:+d}s\n", encoding="ascii")
         new.replace(self._shift)
 
-    def start(self) -> subprocess.Popen[bytes]:
-        environ = os.environ | {
+    def start(self, patch: pytest.MonkeyPatch) -> None:
+        """Have programs forked from one that runs under this clock."""
+        for name, value in {
             "LD_PRELOAD": str(LIBRARY),
             "FAKETIME_TIMESTAMP_FILE": str(self._shift),
             "FAKETIME_NO_CACHE": "1",
             "FAKETIME_DONT_FAKE_MONOTONIC": "1",
-            "NOTIFY_SOCKET": self._address,
-        }
-        command = [sys.executable, "-m", "daemon.main", "--config", str(self.config)]
-        with self.log.open("ab") as log:
-            self._dcamd = subprocess.Popen(
-                [*command, "--state", str(self.state)], cwd=ROOT, env=environ, stderr=log
-            )
+        }.items():
+            patch.setenv(name, value)
+        self._programs.ensure_running()
+        patch.setattr(forkserver, "connect_to_new_process", self._programs.connect_to_new_process)
+
+    def close(self) -> None:
+        self._programs._stop()
+
+
+@pytest.fixture(scope="module")
+def clock(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FakedClock]:
+    with (
+        closing(FakedClock(tmp_path_factory.mktemp("clock"))) as clock,
+        pytest.MonkeyPatch.context() as patch,
+    ):
+        clock.start(patch)
+        yield clock
+
+
+class Station:
+    """A dcamd with a slot every second, under a clock that the test sets."""
+
+    def __init__(self, directory: Path, clock: FakedClock) -> None:
+        self.state, self.log = directory / "state", directory / "log"
+        self.config, self.set_clock = directory / "dcam.toml", clock.set
+        self.config.write_text(SECONDS, encoding="utf-8")
+        self._manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._manager.bind(str(directory / "notify"))
+        self._manager.settimeout(PATIENCE_S)
+        self._environ = os.environ | {"NOTIFY_SOCKET": str(directory / "notify")}
+
+    def start(self) -> Program:
+        where = ("--config", self.config, "--state", self.state)
+        self._dcamd = Program("daemon.main", *where, env=self._environ, stderr=self.log)
         return self._dcamd
 
     def slots(self, count: int, since: datetime | None = None) -> datetime:
@@ -75,14 +99,12 @@ class Station:
     def close(self) -> None:
         self._dcamd.kill()
         self._dcamd.wait()
-        for left in Path("/dev/shm").glob(f"*faketime*_{self._dcamd.pid}"):  # where it keeps time
-            left.unlink()
         self._manager.close()
 
 
 @pytest.fixture
-def station(tmp_path: Path):
-    station = Station(tmp_path)
+def station(tmp_path: Path, clock: FakedClock) -> Iterator[Station]:
+    station = Station(tmp_path, clock)
     yield station
     station.close()
 
