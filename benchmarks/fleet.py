@@ -33,8 +33,8 @@ from daemon.store.central.connecting import (
     open_central,
     prepare,
 )
+from daemon.store.central.site_table import SITE
 from daemon.store.central.sites import read_sites
-from daemon.store.central.tables import SITE
 from daemon.store.central.writing import SiteFacts, write_rows
 from daemon.times import slot_text
 from tests.daemon.fleet.postgres import Proxy, Server, cut_at_random

@@ -1,4 +1,4 @@
-"""Times, spans, sizes and values as people read them, and text where a locale knows few letters."""
+"""Times, spans and sizes as people read them, and text where a locale knows few letters."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ import re
 import sys
 import unicodedata
 from datetime import UTC, datetime
-
-from core.results import Displacement, Flag, Measurement
 
 _IN_ASCII = {"±": "+/-", "°": "deg"}
 _READABLE = "dcam.readable"
@@ -33,24 +31,6 @@ def span_text(seconds: float) -> str:
         elif parts:
             break
     return " ".join(parts[:2]) or "0 s"
-
-
-def value_text(measurement: Measurement) -> str:
-    """Write a displacement, or why there is none, in a few words."""
-    why = "+".join(measurement.reasons)
-    if measurement.corrected is None:
-        return f"no value ({measurement.flag.name.lower()}: {why})"
-    text = displacement_text(measurement.corrected)
-    return text if measurement.flag is Flag.GOOD else f"{text} (suspect: {why})"
-
-
-def displacement_text(displacement: Displacement) -> str:
-    """Write a displacement with its sigma."""
-    (x_mm, y_mm), covariance = displacement.mm, displacement.covariance_mm2
-    return (
-        f"x {x_mm:+.3f} ± {covariance[0, 0] ** 0.5:.3f} mm, "
-        f"y {y_mm:+.3f} ± {covariance[1, 1] ** 0.5:.3f} mm"
-    )
 
 
 def visible(text: str) -> str:

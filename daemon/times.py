@@ -6,15 +6,9 @@ TEXT in UTC, so that any SQLite tool reads them and their order is the order of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from datetime import UTC, datetime
 
-import numpy as np
-import numpy.typing as npt
-
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-TimeArray = npt.NDArray[np.datetime64]
-"""Moments in UTC, of numpy, which knows no zone."""
 
 
 def slot_text(slot_utc: datetime) -> str:
@@ -39,9 +33,3 @@ def instant_text(time_utc: datetime) -> str:
 def stamp_text(when: datetime) -> str:
     """A moment in the name of a file, to the second: `20260301T000000Z`."""
     return when.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
-
-
-def utc_array(texts: Sequence[str | None]) -> TimeArray:
-    """(n,) of times as written here, to the microsecond; NaT for None."""
-    plain = ["NaT" if text is None else text.removesuffix("Z") for text in texts]
-    return np.array(plain, dtype="datetime64[us]")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from drivers.protocols import Role
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from drivers.protocols import Role
 
 
 class DriverError(Exception):

@@ -11,7 +11,7 @@ import daemon
 import cv2  # isort: skip
 import daemon.commands.capture
 import daemon.commands.check
-import daemon.commands.status  # noqa: F401
+import daemon.commands.status_here  # noqa: F401
 from core.measurement import look_at_pair
 from daemon.control.control_socket import control_socket  # noqa: F401
 from daemon.slots.identity import made_by

@@ -17,7 +17,7 @@ from daemon.store.ledger.exclusion import ExcludedRows, Exclusion, read_exclusio
 from daemon.store.queries.columns import Columns, Tell, read_columns, target_roles
 from daemon.store.queries.sensors import Sensor, sensor_columns, sensors_within
 from daemon.store.rows.targets import values_of_targets
-from daemon.times import utc_array
+from daemon.time_arrays import utc_array
 
 CAMERAS = {"main-camera": "main_temperature_c", "sub-camera": "sub_temperature_c"}
 """What the cameras say of their own temperatures, and its columns."""

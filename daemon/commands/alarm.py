@@ -30,13 +30,8 @@ from daemon.commands.options import (
 )
 from daemon.commands.output import note, print_json, print_table, say
 from daemon.config.alarm import read_remains
-from daemon.config.reading import (
-    DEFAULT_STATE_DIRECTORY,
-    Config,
-    find_config,
-    find_installation,
-    find_state,
-)
+from daemon.config.file import find_config, find_state
+from daemon.config.reading import DEFAULT_STATE_DIRECTORY, Config, find_installation
 from daemon.errors import ConfigError, ExitCode, UsageError
 from daemon.text import utc_text
 

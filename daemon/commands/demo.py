@@ -26,7 +26,7 @@ from daemon.commands.demo_season import DAYS, season
 from daemon.commands.gaps import print_gaps
 from daemon.commands.options import common_options
 from daemon.commands.output import note, print_table, progress, say
-from daemon.commands.status import print_status
+from daemon.commands.status_here import print_status
 from daemon.config.reading import Installation, find_installation
 from daemon.devices import open_clock, open_simulated_rig
 from daemon.errors import UsageError, WorkFailedError

@@ -10,24 +10,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta, tzinfo
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from daemon.commands.durations import duration_s
 from daemon.commands.output import ZONE, note, progress, shown_zone
-from daemon.config.alarm import read_remains
-from daemon.config.centre import Centre, load_centre
-from daemon.config.reading import (
-    Config,
-    Installation,
-    find_config,
-    find_installation,
-    load_config,
-)
 from daemon.errors import HardwareError, UsageError
 from daemon.file_errors import file_error_text
 from daemon.zones import find_zone
+
+if TYPE_CHECKING:  # help and the fleet's list do not wait for what a site's config needs
+    from daemon.config.centre import Centre
+    from daemon.config.reading import Config, Installation
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -49,6 +44,8 @@ class Options:
         Raises ConfigError, HardwareError.
         """
         if self._found is None:
+            from daemon.config.reading import find_installation
+
             if self.site is None:
                 found = find_installation(self.config_flag, self.state_flag)
             else:
@@ -63,10 +60,14 @@ class Options:
 
         Raises ConfigError.
         """
+        from daemon.config.centre import load_centre
+        from daemon.config.file import find_config
+
         return load_centre(find_config(self.config_flag))
 
     def _of_site(self) -> Installation:
         """The site's config and a copy of its record, from the central database."""
+        from daemon.config.reading import Installation, load_config
         from daemon.fleet.site import fetch
 
         if self.state_flag is not None:
@@ -101,6 +102,9 @@ class Options:
         """
         if named is not None:
             return find_zone(named)
+        from daemon.config.alarm import read_remains
+        from daemon.config.file import find_config
+
         path = find_config(self.config_flag)
         remains = read_remains(path)
         if remains is None or remains.site.timezone is None:

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
-from daemon.store.queries.json_fields import plain
-from daemon.store.records import GapRecord
+from daemon.plain import plain
 from daemon.text import visible
 from daemon.zones import in_zone
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
+
+    from daemon.store.records import GapRecord
 
 JSON_SCHEMA = 1
 LINE_PERIOD_S = 10.0

@@ -12,7 +12,8 @@ import click
 
 from daemon.commands.options import Options, common_options, pass_options
 from daemon.commands.output import note, say
-from daemon.config.reading import Config, find_config, load_config
+from daemon.config.file import find_config
+from daemon.config.reading import Config, load_config
 from daemon.durable import write_durable
 from daemon.errors import ConfigError, ExitCode, UsageError
 

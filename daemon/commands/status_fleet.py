@@ -8,7 +8,6 @@ from dataclasses import asdict
 from daemon.commands.options import Options
 from daemon.commands.output import one_line, print_json, print_table, say
 from daemon.fleet.opening import opened
-from daemon.fleet.site import known_site, site_verdict
 from daemon.fleet.sums import FleetSums, sums_of
 from daemon.fleet.verdict import SiteVerdict, fleet_level, judge_fleet
 from daemon.status.item import Level
@@ -58,6 +57,8 @@ def _sums_text(sums: FleetSums) -> str:
 
 def look_at_site(options: Options, *, as_json: bool) -> Level:
     """Print how one site said it was at its last sync. Raises as `look_at_fleet`, UsageError."""
+    from daemon.fleet.site import known_site, site_verdict
+
     settings, name = options.centre.fleet, str(options.site)
     with opened(settings) as central:
         said = known_site(central, name)["status"] or {}

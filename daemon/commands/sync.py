@@ -77,12 +77,12 @@ def _sync(options: Options) -> None:
 def _put_status(options: Options, central: Central, site_id: int) -> None:
     """Keep what `status` says here, for the list of all sites."""
     from daemon.alarm.armed import all_items, armed_alarms
-    from daemon.commands.status import status_fields
+    from daemon.commands.status_here import status_fields
+    from daemon.plain import plain
     from daemon.status.facts import collect_facts
     from daemon.status.item import Level, worst
     from daemon.status.verdict import no_verdict
     from daemon.store.central.writing import Verdict, put_status
-    from daemon.store.queries.json_fields import plain
 
     raised: int | None = None
     try:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 
-from daemon.config.site import Section
+from daemon.config.section import Section
 
 if TYPE_CHECKING:
     from daemon.config.model import Config

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from daemon.config.model import LogSection
+from daemon.config.file import read_toml
+from daemon.config.log import LogSection
 from daemon.config.outputs import FleetSection
 from daemon.config.problems import describe_problems
-from daemon.config.reading import config_of, read_toml
-from daemon.config.site import Section
+from daemon.config.section import Section
 from daemon.config.web import WebSection, web_problems
 from daemon.errors import ConfigError
 
@@ -39,6 +39,8 @@ def load_centre(path: Path) -> Centre:
     """Read and check a config of a pier, or of a computer that only reads. Raises ConfigError."""
     data = read_toml(path)
     if "site" in data or "camera" in data:
+        from daemon.config.reading import config_of
+
         config = config_of(data, path)
         return Centre(path, config.fleet, config.web, only_reads=False)
     try:

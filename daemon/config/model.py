@@ -16,16 +16,16 @@ from pydantic import Field, PrivateAttr, Strict
 
 from core.site import Site, StabilityBudget
 from daemon.config.alarm import AlarmSection
+from daemon.config.log import LogSection
 from daemon.config.outputs import FleetSection, InfluxSection, MqttSection
 from daemon.config.readings import MOST_READINGS, ReadingSection
 from daemon.config.report import ReportSection
+from daemon.config.section import Directory, Section
 from daemon.config.simulation import SimulationSection
 from daemon.config.site import (
     CamerasSection,
-    Directory,
     QualitySection,
     RigSection,
-    Section,
     SiteSection,
     StabilitySection,
     TargetsSection,
@@ -183,13 +183,6 @@ class RetentionSection(Section):
     def rules(self) -> Rules:
         """Convert to the daemon's type."""
         return Rules(**self.model_dump())
-
-
-class LogSection(Section):
-    """`[log]`."""
-
-    format: Literal["keyvalue", "json"] = "keyvalue"
-    level: Literal["debug", "info", "warning", "error"] = "info"
 
 
 class ReplaySection(Section):

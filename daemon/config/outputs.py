@@ -7,7 +7,7 @@ from urllib.parse import urlsplit
 
 from pydantic import Field
 
-from daemon.config.site import Directory, Section
+from daemon.config.section import Directory, Section
 
 
 class MqttSection(Section):

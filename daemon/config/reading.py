@@ -1,9 +1,8 @@
-"""The config file `dcam.toml`: found, read and checked; what it may hold is in `model`."""
+"""The config file `dcam.toml`, read and checked; what it may hold is in `model`."""
 
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from daemon.config.alarm import alarm_problems
+from daemon.config.file import find_config, find_state, read_toml
 from daemon.config.model import BURST_SHARE, DEFAULT_STATE_DIRECTORY, Config
 from daemon.config.plausibility import implausible_values
 from daemon.config.problems import describe_problems
@@ -19,25 +19,17 @@ from daemon.config.readings import reading_problems
 from daemon.config.simulation import SimulationSection
 from daemon.config.web import web_problems
 from daemon.errors import ConfigError
-from daemon.file_errors import file_error_text
 from daemon.zones import LOCAL, find_zone
 from drivers.heads.port_name import port_problem
 
 __all__ = [
-    "DEFAULT_CONFIG_PATH",
     "DEFAULT_STATE_DIRECTORY",
     "Config",
     "Installation",
     "SimulationSection",
-    "find_config",
     "find_installation",
-    "find_state",
     "load_config",
 ]
-
-DEFAULT_CONFIG_PATH = Path("/etc/dcam/dcam.toml")
-MOST_BYTES = 1_000_000
-"""A hundred times the longest config with all its comments."""
 
 _TAKEN_NAMES = frozenset({"main", "sub", "raw", "sigma", "closure", "spread", "reading"})
 """No further target's: the columns of its name would be others' columns."""
@@ -59,28 +51,6 @@ def config_of(data: Mapping[str, Any], path: Path) -> Config:
         raise ConfigError(*(f"{path}: {problem}" for problem in problems))
     config._path = path  # noqa: SLF001 - ours to fill in: a file does not name itself
     return config
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """What a file holds. Raises ConfigError."""
-    try:
-        with path.open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
-        if len(content) <= MOST_BYTES:
-            # Some editors begin a UTF-8 file with a byte order mark.
-            return tomllib.loads(content.decode("utf-8-sig"))
-        msg = f"{path}: more than {MOST_BYTES // 1000} kB: this is no config of a site"
-    except FileNotFoundError:
-        msg = f"{path}: no such file; name one with --config FILE or DCAM_CONFIG"
-    except OSError as error:
-        msg = file_error_text(error)
-    except UnicodeDecodeError as error:
-        msg = f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8"
-    except tomllib.TOMLDecodeError as error:
-        msg = f"{path}: not valid TOML: {error}"
-    except RecursionError:
-        msg = f"{path}: not valid here: tables or lists within one another, hundreds deep"
-    raise ConfigError(msg)
 
 
 def _contradictions(config: Config) -> list[str]:
@@ -221,20 +191,3 @@ def find_installation(
     config = load_config(path)
     state = find_state(state_flag, config.storage.directory, environ)
     return Installation(config_path=path, config=config, state_directory=state)
-
-
-def find_config(flag: Path | None, environ: Mapping[str, str] = os.environ) -> Path:
-    """Settle which config counts."""
-    return flag or _from_environment(environ, "DCAM_CONFIG") or DEFAULT_CONFIG_PATH
-
-
-def find_state(
-    flag: Path | None, configured: Path, environ: Mapping[str, str] = os.environ
-) -> Path:
-    """Settle which state directory counts, where the config names this one."""
-    return (flag or _from_environment(environ, "DCAM_STATE") or configured).absolute()
-
-
-def _from_environment(environ: Mapping[str, str], name: str) -> Path | None:
-    value = environ.get(name)
-    return Path(value) if value else None

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field, Strict
 
-from daemon.config.site import Directory, Section
+from daemon.config.section import Directory, Section
 from drivers.sensors.modbus_url import ModbusAddress, parse_modbus
 
 if TYPE_CHECKING:

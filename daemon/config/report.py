@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from daemon.config.site import Directory, Section
+from daemon.config.section import Directory, Section
 
 DIRECTORY = "reports"
 """Of the months' reports, in the state directory."""

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, Strict
 
-from daemon.config.site import Directory, Instant, Pair, Section, Triple
+from daemon.config.section import Directory, Instant, Pair, Section, Triple
 from drivers.protocols import Role
 from drivers.sim.settings import (
     AsBuilt,

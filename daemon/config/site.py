@@ -5,20 +5,10 @@ They become `core.site.Site`; whether its values fit together is judged in `plau
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    AwareDatetime,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    Strict,
-    ValidationInfo,
-)
+from pydantic import BeforeValidator, Field, Strict
 
 from core.lens_model import LensModel
 from core.site import (
@@ -31,6 +21,7 @@ from core.site import (
     StabilityBudget,
     TargetRole,
 )
+from daemon.config.section import Pair, Section, Triple
 from drivers.protocols import PixelFormat, Role
 
 
@@ -38,28 +29,12 @@ def _number_to_list(value: object) -> object:
     return [value] if isinstance(value, int | float) else value
 
 
-def _beside_the_config(value: Path, info: ValidationInfo) -> Path:
-    """Take a relative path as relative to the config file, not to where the daemon was started."""
-    base: Path = (info.context or {}).get("directory", Path())
-    return base / value.expanduser()
-
-
 _STABLE = StabilityBudget()
 MOST_EXTRA_TARGETS = 16
 """Chosen: each costs a search, and no image has room for more."""
 
 PositiveFloat = Annotated[float, Field(gt=0)]
-Pair = Annotated[tuple[float, float], Strict(strict=False)]
-Triple = Annotated[tuple[float, float, float], Strict(strict=False)]
-Directory = Annotated[Path, Strict(strict=False), AfterValidator(_beside_the_config)]
-Instant = Annotated[AwareDatetime, Strict(strict=False)]
 Backend = Literal["aravis", "harvesters", "simulated", "replay"]
-
-
-class Section(BaseModel):
-    """A table of the config: no unknown keys, no silent conversions, no NaN."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class SiteSection(Section):

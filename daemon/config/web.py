@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pydantic import Field, Strict
 
-from daemon.config.site import Directory, Section
+from daemon.config.section import Directory, Section
 from daemon.errors import ConfigError
 from daemon.file_errors import file_error_text
 

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from daemon.config.outputs import FleetSection
 from daemon.errors import ConfigError
 from daemon.outputs.secret import read_secret
 
 if TYPE_CHECKING:
+    from daemon.config.outputs import FleetSection
     from daemon.store.central.connecting import Central
 
 

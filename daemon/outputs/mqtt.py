@@ -20,8 +20,8 @@ from daemon.outputs.home_assistant import discovery
 from daemon.outputs.output import NotTakenError
 from daemon.outputs.row_fields import row_fields, slug
 from daemon.outputs.secret import read_secret
+from daemon.plain import plain
 from daemon.store.queries.arrivals import Arrival
-from daemon.store.queries.json_fields import plain
 from drivers.libraries import require_library
 
 if TYPE_CHECKING:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from daemon.errors import HardwareError
-from daemon.store.queries.arrivals import Arrival
+
+if TYPE_CHECKING:  # commands that only need the error do not read rows
+    from daemon.store.queries.arrivals import Arrival
 
 
 class NotTakenError(HardwareError):

@@ -21,7 +21,8 @@ from daemon.store.ledger.entries import read_ledger
 from daemon.store.ledger.exclusion import ExcludedRows, Exclusion
 from daemon.store.queries.columns import Columns, read_columns
 from daemon.store.rows.targets import columns_of_target, stored_targets, values_of_targets
-from daemon.times import EPOCH, utc_array
+from daemon.time_arrays import utc_array
+from daemon.times import EPOCH
 
 _OF_TARGET = ("flag", "x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm")
 

@@ -22,7 +22,8 @@ from daemon.store.queries.sensors import Sensor, sensor_columns, sensors_within
 from daemon.store.recorded_span import recorded_span
 from daemon.store.records import Coverage, GapRecord
 from daemon.store.rows.targets import columns_of_target, text_without_target, values_of_targets
-from daemon.times import EPOCH, utc_array
+from daemon.time_arrays import utc_array
+from daemon.times import EPOCH
 
 MOST_POINTS = 2 * BINS
 """More rows than this are drawn as their envelope."""

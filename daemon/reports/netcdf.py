@@ -18,7 +18,7 @@ from daemon.store.queries import column_meanings
 from daemon.store.queries.columns import BATCH
 from daemon.store.queries.sensors import is_reading
 from daemon.store.rows.targets import target_of_column
-from daemon.times import utc_array
+from daemon.time_arrays import utc_array
 from daemon.version import VERSION
 from drivers.libraries import require_library
 

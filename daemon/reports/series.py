@@ -15,7 +15,7 @@ from core.arrays import BoolArray, FloatArray
 from core.results import Flag, Measurement
 from daemon.store.queries.columns import Columns
 from daemon.store.rows.targets import values_of_targets
-from daemon.times import TimeArray, utc_array
+from daemon.time_arrays import TimeArray, utc_array
 
 BINS = 2400
 """Of an envelope: two for each column of the picture's pixels, so that a peak stays where it is."""

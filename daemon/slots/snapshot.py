@@ -12,12 +12,13 @@ from core.recognition import disc_doubt, recognise_mounted_board, recognise_targ
 from core.results import Measurement
 from core.site import Site
 from daemon.burst import Shot
+from daemon.plain import plain
 from daemon.schedule import Schedule
 from daemon.slots.learner import Learner
 from daemon.slots.measuring import ActiveCalibration, image_pair, measure
 from daemon.slots.row_history import measure_in_record
 from daemon.store.database import Store
-from daemon.store.queries.json_fields import plain, result_fields
+from daemon.store.queries.json_fields import result_fields
 from daemon.store.records import Reading
 from daemon.store.rows.datum import in_record_zero
 from drivers.protocols import CapturedFrame, CapturedPair

@@ -10,7 +10,8 @@ from core.site import TargetRole
 from daemon.status.facts import Disk, Facts
 from daemon.status.item import Item, Level, worst
 from daemon.store.records import Coverage
-from daemon.text import bytes_text, displacement_text, span_text, utc_text, value_text
+from daemon.text import bytes_text, span_text, utc_text
+from daemon.value_text import displacement_text, value_text
 
 _TODO = {
     "measurement": "journalctl -u dcamd tells why",

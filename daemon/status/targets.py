@@ -8,7 +8,8 @@ from core.results import Displacement, Reason
 from daemon.status.facts import Facts
 from daemon.status.item import Item, Level
 from daemon.store.queries.overview import TargetSummary
-from daemon.text import displacement_text, span_text
+from daemon.text import span_text
+from daemon.value_text import displacement_text
 
 LARGE_CLOSURE = 3.0
 """Closures of a day over their sigma, both rms, before that is a warning."""

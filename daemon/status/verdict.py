@@ -13,7 +13,8 @@ from daemon.status.targets import judge_targets
 from daemon.store.queries.datum_fields import offset_text
 from daemon.store.queries.overview import ActiveCalibrationSummary
 from daemon.store.records import Coverage, DatumMethod
-from daemon.text import bytes_text, span_text, utc_text, value_text
+from daemon.text import bytes_text, span_text, utc_text
+from daemon.value_text import value_text
 
 LATE_SLOTS, LOST_SLOTS = 3, 10
 """Periods without a row before that is a warning, and critical."""

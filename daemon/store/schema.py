@@ -1,13 +1,8 @@
-"""The tables, as SQLAlchemy sees them; the migrations make them (a test holds the two together).
-
-Times are TEXT in UTC, so that any SQLite tool reads them and their order is the order of time:
-slots `2026-03-01T00:00:00Z`, instants `2026-03-01T00:00:00.000000Z`. In a central PostgreSQL they
-are its own, `timestamptz`: 8 bytes each, and what months are parted by.
-"""
+"""The tables, as SQLAlchemy sees them; the migrations make them (a test holds the two together)."""
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Any, ClassVar, Literal
 
 from sqlalchemy import (
@@ -23,60 +18,11 @@ from sqlalchemy import (
     UniqueConstraint,
     text,
 )
-from sqlalchemy.dialects.postgresql import TIMESTAMP
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
-from sqlalchemy.types import TypeEngine
 
 from daemon.errors import DamagedRowError
 from daemon.store.records import GapCause
-from daemon.times import instant_text, slot_text
-
-
-class Slot(TypeDecorator[datetime]):
-    """A slot time."""
-
-    impl = Text
-    cache_ok = True
-
-    def load_dialect_impl(self, dialect: Dialect) -> TypeEngine[Any]:
-        """PostgreSQL has a type of its own."""
-        if dialect.name == "postgresql":
-            return dialect.type_descriptor(TIMESTAMP(timezone=True))
-        return dialect.type_descriptor(Text())
-
-    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> str | datetime | None:
-        """Write."""
-        if value is None or dialect.name == "postgresql":
-            return value
-        return self.text(value)
-
-    def text(self, value: datetime) -> str:
-        """A time as SQLite holds it."""
-        return slot_text(value)
-
-    def process_result_value(
-        self, value: str | datetime | None, _dialect: Dialect
-    ) -> datetime | None:
-        """Read."""
-        if value is None:
-            return None
-        if isinstance(value, datetime):
-            return value.astimezone(UTC)
-        try:
-            return datetime.fromisoformat(value)
-        except (ValueError, TypeError) as error:
-            msg = f"{value!r} is no time"
-            raise DamagedRowError(msg) from error
-
-
-class Instant(Slot):
-    """A moment to the microsecond."""
-
-    cache_ok = True
-
-    def text(self, value: datetime) -> str:
-        """A time as SQLite holds it."""
-        return instant_text(value)
+from daemon.store.time_types import Instant, Slot
 
 
 class Cause(TypeDecorator[GapCause]):

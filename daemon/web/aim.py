@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from datetime import datetime
 from typing import Any
 
+from daemon.plain import plain
 from daemon.preview.shown import Shown
-from daemon.store.queries.json_fields import plain
 from daemon.store.queries.record_view import last_slot_with_frames
 from daemon.times import slot_text
 from daemon.web.record import Record

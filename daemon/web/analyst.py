@@ -18,11 +18,11 @@ from daemon.analysis.reading import analyse_store
 from daemon.analysis.sentences import sentences
 from daemon.analysis.study import Asked
 from daemon.config.reading import Config, load_config
+from daemon.plain import plain
 from daemon.reports import beside_reference
 from daemon.reports.beside_reference import PointComparison, read_beside
 from daemon.reports.figure import ReferenceMarks
 from daemon.store.database import open_store_readonly
-from daemon.store.queries.json_fields import plain
 from daemon.web.lines import answer_lines
 from daemon.zones import find_zone
 

@@ -21,8 +21,8 @@ from core.images import GreyImage
 from core.site import CirclesTarget, Site
 from daemon.calibration.view_check import ViewCheck, see_pair
 from daemon.config.reading import load_config
+from daemon.plain import plain
 from daemon.preview.snapshot import take_snapshot
-from daemon.store.queries.json_fields import plain
 from daemon.web.lines import answer_lines
 from drivers.frameset import read_image
 from drivers.protocols import CapturedFrame, CapturedPair

@@ -10,9 +10,10 @@ import numpy as np
 
 from core.results import Flag
 from daemon.config.reading import Config
+from daemon.plain import plain
 from daemon.store.ledger.entries import in_force, ledger_entries
 from daemon.store.queries.datum_fields import sigmas_mm
-from daemon.store.queries.json_fields import plain, result_fields
+from daemon.store.queries.json_fields import result_fields
 from daemon.store.queries.record_view import (
     calibration_views,
     events_within,

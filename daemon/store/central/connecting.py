@@ -12,7 +12,7 @@ from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError, SQLAlchemyError
 
 from daemon.errors import ConfigError, DatabaseOlderError, StoreError
-from daemon.store.central.tables import SITE
+from daemon.store.central.site_table import SITE
 from daemon.store.revisions import (
     SCRIPTS,
     Advice,

@@ -10,7 +10,8 @@ from typing import Any
 from sqlalchemy import Table, func, select, text
 
 from daemon.store.central.connecting import Central
-from daemon.store.central.tables import DIGEST_PART, MEASUREMENT, SITE, to_sqlite
+from daemon.store.central.site_table import SITE
+from daemon.store.central.tables import DIGEST_PART, MEASUREMENT, to_sqlite
 from daemon.store.queries.columns import BATCH, Columns
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from sqlalchemy import func, select
 
 from daemon.store.central.connecting import Central
-from daemon.store.central.tables import SITE
+from daemon.store.central.site_table import SITE
 
 
 @dataclass(frozen=True, slots=True)

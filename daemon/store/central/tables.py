@@ -1,7 +1,6 @@
 """The central tables: a site's own, column by column from the same models, behind its number.
 
-The central revisions make them (a test holds the two together). `site` is the central database's
-own: who there is, how far each has come, and how it said it was.
+The central revisions make them (a test holds the two together).
 """
 
 from __future__ import annotations
@@ -12,18 +11,12 @@ from sqlalchemy import (
     BigInteger,
     Boolean,
     Column,
-    Float,
-    Identity,
-    Index,
     Integer,
-    MetaData,
     PrimaryKeyConstraint,
-    SmallInteger,
     Table,
-    Text,
 )
-from sqlalchemy.dialects.postgresql import JSONB
 
+from daemon.store.central.site_table import CENTRAL
 from daemon.store.integrity.checksum import DIGEST
 from daemon.store.schema import (
     ActivationRow,
@@ -32,42 +25,11 @@ from daemon.store.schema import (
     DatumRow,
     EventRow,
     GapRow,
-    Instant,
     LedgerRow,
     MarkRow,
     MeasurementRow,
-    Slot,
 )
-
-CENTRAL = MetaData()
-
-SITE = Table(
-    "site",
-    CENTRAL,
-    Column("id", Integer, Identity(), primary_key=True),
-    Column("name", Text, nullable=False, unique=True),
-    Column("identity", Text, nullable=False),
-    Column("revision", Text, nullable=False),
-    Column("version", Text, nullable=False),
-    Column("heard_utc", Instant, nullable=False),
-    Column("period_s", Integer, nullable=False),
-    Column("latitude_deg", Float),
-    Column("longitude_deg", Float),
-    Column("level", SmallInteger),
-    Column("summary", Text),
-    Column("status", JSONB),
-    Column("config", Text),
-    Column("last_slot_utc", Slot),
-    Column("progress", JSONB),
-    Column("event_id", BigInteger, nullable=False, server_default="0"),
-    Column("small", JSONB, nullable=False, server_default="{}"),
-    Column("rewritten", BigInteger, nullable=False, server_default="0"),
-    Column("alarms", SmallInteger),
-    Column("late", JSONB, nullable=False, server_default="{}"),
-)
-"""`rewritten` counts rows that went or changed, so that a copy knows when it must begin again;
-`alarms` those that are raised; `late`, by month, the copies that changed it when the site was in a
-later month already, so that an archive knows which of its months to look at."""
+from daemon.store.time_types import Slot
 
 
 def _central(model: type[Base], *key: str) -> Table:
@@ -108,9 +70,6 @@ DIGEST_PART = 0xFFFF_FFFF
 def key_of(table: Table) -> str:
     """The column that names a row within its site."""
     return next(column.name for column in table.primary_key if column.name != "site_id")
-
-
-Index("ix_site_level", SITE.c.level)
 
 
 def from_sqlite(table: Table, row: dict[str, Any], site_id: int) -> dict[str, Any]:

@@ -19,13 +19,13 @@ from sqlalchemy.dialects.postgresql import insert
 
 from daemon.errors import StoreError
 from daemon.store.central.connecting import Central
+from daemon.store.central.site_table import SITE
 from daemon.store.central.tables import (
     CHANGING,
     DIGEST_PART,
     EVENT,
     MEASUREMENT,
     MIRRORED,
-    SITE,
     from_sqlite,
     key_of,
 )

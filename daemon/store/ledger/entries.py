@@ -21,7 +21,7 @@ from core.site import MAIN
 from daemon.store.integrity.reading import whole_rows
 from daemon.store.rows.convert import stored_time
 from daemon.store.sqlite import connect_readonly, said_plainly
-from daemon.times import TimeArray, utc_array
+from daemon.time_arrays import TimeArray, utc_array
 
 ALL_POINTS = "all"
 

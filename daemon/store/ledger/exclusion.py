@@ -9,7 +9,7 @@ from pathlib import Path
 from core.arrays import BoolArray
 from core.site import MAIN
 from daemon.store.ledger.entries import LedgerEntry, excluded_spans, read_ledger, span_numbers
-from daemon.times import utc_array
+from daemon.time_arrays import utc_array
 
 
 @dataclass(frozen=True, slots=True)

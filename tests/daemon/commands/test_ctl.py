@@ -16,6 +16,7 @@ from daemon.error_report import run
 from daemon.main import cli as dcamd_cli
 from daemon.store.database import open_store
 from tests.daemon.commands.conftest import CONFIG, SIMULATED, Ctl
+from tests.daemon.commands.imports import modules_of
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -33,6 +34,12 @@ def test_help_lists_all_commands_and_the_exit_codes(ctl: Ctl) -> None:
     assert all(f"\n  {name} " in ran.out for name in COMMANDS)
     assert "5 database" in ran.out
     assert "\\b" not in ran.out
+
+
+def test_help_loads_neither_numerics_nor_what_reads_a_config() -> None:
+    """Who asks what a program can do waits a tenth of a second, not half of one."""
+    loaded = modules_of("--help")
+    assert loaded.isdisjoint({"numpy", "pydantic", "sqlalchemy", "structlog", "rich"})
 
 
 @pytest.mark.parametrize("arguments", [[], ["calibrat"], ["gaps", "--sinse", "24h"]])

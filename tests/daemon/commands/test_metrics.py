@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import stat
-import subprocess
-import sys
 from datetime import datetime
 from pathlib import Path
 
@@ -15,7 +13,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from daemon.lock import sole_writer
 from daemon.store.records import CameraState, GapCause
 from tests.daemon.commands.conftest import DARK, MINUTE, Ran, Site
-from tests.waiting import PATIENCE_S
+from tests.daemon.commands.imports import modules_of
 
 Read = dict[tuple[str, tuple[tuple[str, str], ...]], float]
 
@@ -154,22 +152,8 @@ def test_help_and_type_stand_before_each_metric(site: Site) -> None:
 
 def test_metrics_load_no_numerics_and_no_orm(site: Site) -> None:
     """They are asked for every minute, as status is."""
-    program = (
-        "import sys; from daemon import ctl; code = ctl.run(ctl.cli, 'dcam-ctl'); "
-        "print(*sorted({name.partition('.')[0] for name in sys.modules}), file=sys.stderr); "
-        "sys.exit(code)"
-    )
-    where = ("--config", site.config, "--state", site.state)
-    ran = subprocess.run(
-        [sys.executable, "-c", program, *where, "metrics"],
-        cwd=Path(__file__).parents[3],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-    assert ran.returncode == 0, ran.stderr
-    assert {"scipy", "cv2", "numba", "sqlalchemy", "alembic"}.isdisjoint(ran.stderr.split())
+    loaded = modules_of("--config", site.config, "--state", site.state, "metrics")
+    assert loaded.isdisjoint({"scipy", "cv2", "numba", "sqlalchemy", "alembic"})
 
 
 def test_a_file_that_node_exporter_would_not_read_is_refused(site: Site, tmp_path: Path) -> None:

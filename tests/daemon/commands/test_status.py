@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-import subprocess
-import sys
 from contextlib import closing
 from datetime import date, timedelta
 from pathlib import Path
@@ -19,7 +17,7 @@ from daemon.control.run_state import LastSlot, LostCamera, RunState, write_run_s
 from daemon.lock import sole_writer
 from daemon.store.records import FrameDay, GapCause, Mark
 from tests.daemon.commands.conftest import DARK, MINUTE, SIMULATED, START, Ctl, Ran, Site
-from tests.waiting import PATIENCE_S
+from tests.daemon.commands.imports import modules_of
 
 
 def test_a_site_that_runs_is_ok(site: Site) -> None:
@@ -322,22 +320,9 @@ def test_first_line_is_what_a_monitoring_system_shows(site: Site) -> None:
 
 def test_status_loads_no_numerics_no_orm_and_no_logger(site: Site) -> None:
     """A monitoring system asks every minute: it shall not wait for what only a slot needs."""
-    program = (
-        "import sys; from daemon import ctl; code = ctl.run(ctl.cli, 'dcam-ctl'); "
-        "print(*sorted({name.partition('.')[0] for name in sys.modules}), file=sys.stderr); "
-        "sys.exit(code)"
-    )
     at = (site.end - MINUTE).isoformat()
     where = ("--config", site.config, "--state", site.state)
     with sole_writer(site.state):
-        ran = subprocess.run(
-            [sys.executable, "-c", program, *where, "status", "--at", at],
-            cwd=Path(__file__).parents[3],
-            capture_output=True,
-            text=True,
-            timeout=PATIENCE_S,
-            check=False,
-        )
-    assert ran.returncode == 0, ran.stdout
+        loaded = modules_of(*where, "status", "--at", at)
     slow = {"scipy", "cv2", "numba", "sqlalchemy", "alembic", "apscheduler", "structlog"}
-    assert slow.isdisjoint(ran.stderr.split())
+    assert slow.isdisjoint(loaded)

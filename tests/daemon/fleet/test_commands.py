@@ -20,6 +20,7 @@ from daemon.error_report import run
 from daemon.status.item import Level
 from daemon.store.central.connecting import connect_central
 from daemon.store.central.tables import MEASUREMENT
+from tests.daemon.commands.imports import modules_of
 from tests.daemon.fleet.conftest import Pier, sync
 from tests.daemon.fleet.postgres import Proxy, Server
 from tests.daemon.fleet.test_sync import rows_here, rows_there
@@ -122,6 +123,17 @@ def test_sites_are_listed_worst_first(
     assert out.splitlines()[1] == sums
     assert out.startswith("DCAM CRITICAL - 3 sites: 1 ok, 1 warning, 1 critical\n")
     assert "not heard from for 2 h" in out
+
+
+def test_the_list_loads_no_models_no_numerics_and_no_config_of_a_site(
+    server: Server, central: str, tmp_path: Path
+) -> None:
+    """To load them took longer than to read 10,000 sites."""
+    config = tmp_path / "centre.toml"
+    config.write_text(f'[fleet]\nurl = "{server.url(central)}"\n')
+    loaded = modules_of("--config", config, "status", "--fleet", code=Level.UNKNOWN)
+    slow = {"sqlalchemy.orm", "daemon.store.schema", "numpy", "alembic", "daemon.config.model"}
+    assert slow.isdisjoint(loaded)
 
 
 def test_a_site_is_exported_from_the_centre_as_at_its_pier(

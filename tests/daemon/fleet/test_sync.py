@@ -16,6 +16,7 @@ from sqlalchemy import Table, select, text
 
 from daemon.errors import DatabaseNewerError, DatabaseOlderError, StoreError
 from daemon.store.central.connecting import connect_central, open_central, prepare
+from daemon.store.central.site_table import SITE
 from daemon.store.central.tables import (
     CALIBRATION,
     CENTRAL,
@@ -24,7 +25,6 @@ from daemon.store.central.tables import (
     GAP,
     LEDGER,
     MEASUREMENT,
-    SITE,
     to_sqlite,
 )
 from daemon.store.database import open_store

@@ -20,7 +20,8 @@ from daemon.store.ledger.entries import (
     read_ledger,
     span_numbers,
 )
-from daemon.times import slot_text, utc_array
+from daemon.time_arrays import utc_array
+from daemon.times import slot_text
 from tests.daemon.store.examples import START, full_record, slot
 
 
