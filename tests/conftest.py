@@ -13,6 +13,7 @@ import pytest
 
 import daemon  # noqa: F401
 from daemon.log import configure_log
+from tests import compiled_sql
 from tests.drivers.genicam.usb3 import bench
 
 bench.load()  # ahead of Aravis, whichever test loads that
@@ -24,6 +25,8 @@ sys.dont_write_bytecode = False
 
 # A shell that starts the tests in the background has them ignore Ctrl-C, and programs inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+compiled_sql.share()
 
 # As in our programs: structlog's own way draws every local variable of a traceback.
 configure_log()

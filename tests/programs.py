@@ -10,12 +10,13 @@ import ctypes
 import multiprocessing
 import os
 import runpy
+import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerContext
@@ -25,14 +26,17 @@ from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Self, TextIO
 
+import pytest
+
 from tests.waiting import PATIENCE_S, wait_for
 
 ROOT = Path(__file__).parents[1]
 PRELOADED = ["tests.loaded"]
 """What a process has loaded that programs are forked from."""
 
-Stream = Path | int | None
-"""A file that output is added to, PIPE for a pipe to the test, or None: it is lost."""
+Stream = Path | Connection | int | None
+"""A file that output is added to, an open one (which is closed here), PIPE for a pipe to the test,
+or None: it is lost."""
 
 
 class Program:
@@ -40,20 +44,20 @@ class Program:
 
     def __init__(
         self,
-        module: str,
+        module: str | Path,
         *arguments: object,
         env: Mapping[str, str] | None = None,
-        stdin: int | None = None,
+        stdin: Connection | int | None = None,
         stdout: Stream = None,
         stderr: Stream = None,
         stopped: bool = False,
     ) -> None:
-        """Start it as `python -m MODULE ARGUMENTS` would be.
+        """Start it as `python -m MODULE ARGUMENTS` would be; a path as `python PATH ARGUMENTS`.
 
         One that is stopped begins when it gets SIGCONT: until then a tracer can attach.
         """
-        self.args = [module, *map(str, arguments)]
-        self.stdin, its_in = _pipe_to() if stdin == PIPE else (None, None)
+        self.args = [str(module), *map(str, arguments)]
+        self.stdin, its_in = _pipe_to() if stdin == PIPE else (None, stdin)
         self.stdout, its_out = _pipe_from(stdout)
         self.stderr, its_err = _pipe_from(stderr)
         streams = (its_in, its_out, its_err)
@@ -120,7 +124,7 @@ class Program:
 
 
 def ran(
-    module: str,
+    module: str | Path,
     *arguments: object,
     env: Mapping[str, str] | None = None,
     timeout: float = PATIENCE_S,
@@ -136,6 +140,21 @@ def ran(
         return subprocess.CompletedProcess(
             program.args, code, stdout.read_text(), stderr.read_text()
         )
+
+
+def traced(options: Sequence[str], module: str, *arguments: object, stderr: Stream = None) -> int:
+    """How a program ends that runs with strace attached from its beginning."""
+    if not shutil.which("strace"):
+        pytest.skip("strace is not installed")
+    with Program(module, *arguments, stderr=stderr, stopped=True) as program:
+        command = ["strace", "-f", *options, "-p", str(program.pid)]
+        with subprocess.Popen(command, stderr=PIPE, text=True) as strace:
+            said = strace.stderr.readline()
+            program.send_signal(signal.SIGCONT)
+            code = program.wait()
+    if "attached" not in said:
+        pytest.skip(f"strace may not trace here: {said}")
+    return code
 
 
 def _state(pid: int) -> str:
@@ -162,7 +181,7 @@ def _pipe_from(stream: Stream) -> tuple[TextIO | None, Path | Connection | None]
     if isinstance(stream, int):
         ours, its = os.pipe()
         return os.fdopen(ours, "r"), Connection(its, readable=False)
-    if stream is not None:
+    if isinstance(stream, Path):
         stream.touch()  # whoever waits for what it says may look at once
     return None, stream
 
@@ -196,4 +215,7 @@ def _be(
     sys.argv = words
     if stopped:
         os.kill(os.getpid(), signal.SIGSTOP)
-    runpy.run_module(words[0], run_name="__main__", alter_sys=True)
+    if words[0].endswith(".py"):
+        runpy.run_path(words[0], run_name="__main__")
+    else:
+        runpy.run_module(words[0], run_name="__main__", alter_sys=True)

@@ -26,6 +26,7 @@ from daemon.errors import StoreError
 from daemon.log import configure_log
 from daemon.slots.recovery import mark_stop
 from daemon.store.database import open_store
+from tests import compiled_sql
 from tests.crash.station import PERIOD_S, daemon, measured_by_eye
 
 START = datetime(2026, 3, 1, 23, 57, 30, tzinfo=UTC)
@@ -118,6 +119,7 @@ def run(directory: Path, injection: str) -> dict[str, object]:
 def main() -> None:
     """See above."""
     root = Path(sys.argv[1])
+    compiled_sql.share()
     rehearse(root)
     for line in sys.stdin:
         name, injection = line.split()

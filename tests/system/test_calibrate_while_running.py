@@ -8,7 +8,7 @@ from pathlib import Path
 from core.results import Flag, Reason
 from daemon.store.database import open_store_readonly
 from daemon.store.records import GapCause
-from tests.daemon.commands.conftest import SIMULATED
+from tests.daemon.commands.conftest import SMALL
 from tests.programs import Program, ran
 from tests.waiting import PATIENCE_S, wait_for
 
@@ -40,8 +40,8 @@ def test_slots_before_gap_calibration_slots_after(tmp_path: Path) -> None:
     """Real time for the daemon, stepped time for the head; a slot every two seconds."""
     state = tmp_path / "state"
     of_daemon, of_head = tmp_path / "dcamd.toml", tmp_path / "calibrate.toml"
-    of_daemon.write_text(SIMULATED + 'clock = "system"\n[schedule]\nperiod_s = 2\n')
-    of_head.write_text(SIMULATED + "[schedule]\nperiod_s = 2\n")
+    of_daemon.write_text(SMALL + 'clock = "system"\n[schedule]\nperiod_s = 2\n')
+    of_head.write_text(SMALL + "[schedule]\nperiod_s = 2\n")
     said = tmp_path / "log"
     said.touch()
     dcamd = Program("daemon.main", "--config", of_daemon, "--state", state, stderr=said)

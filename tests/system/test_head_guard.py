@@ -3,33 +3,27 @@
 import json
 import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from subprocess import PIPE
 
 import pytest
 
 from tests.daemon.commands.conftest import SIMULATED
+from tests.programs import Program
 from tests.waiting import PATIENCE_S
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
 def head(tmp_path: Path) -> Iterator[Path]:
     """A simulated Pelco-D head that knows no positions; the socket that tells where it truly is."""
     angles = tmp_path / "angles"
-    program = subprocess.Popen(
-        [
-            *(sys.executable, "-m", "daemon.ctl", "simulate", "head", "--protocol", "pelco-d"),
-            *("--no-feedback", "--speed", "0.2", "--link", tmp_path / "head", "--angles", angles),
-        ],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
+    words = (
+        *("simulate", "head", "--protocol", "pelco-d", "--no-feedback", "--speed", 0.2),
+        *("--link", tmp_path / "head", "--angles", angles),
     )
-    with program:
+    with Program("daemon.ctl", *words, stdout=PIPE) as program:
         program.stdout.readline()
         yield angles
         program.send_signal(signal.SIGTERM)
@@ -62,21 +56,13 @@ def test_sigkill_in_a_move_of_a_head_without_feedback(head: Path, tmp_path: Path
         + f'head_angles = "{head}"\n[pan_tilt]\nbackend = "pelco-d"\nport = "{tmp_path / "head"}"\n'
         + "reports_position = false\nspeed_deg_s = 0.2\n"
     )
-    program = subprocess.Popen(
-        [
-            *(sys.executable, "-m", "daemon.ctl", "--config", config, "--state", tmp_path / "s"),
-            *("calibrate", "--pan-tilt"),
-        ],
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-    )
-    with program:
+    words = ("--config", config, "--state", tmp_path / "s", "calibrate", "--pan-tilt")
+    with Program("daemon.ctl", *words, stderr=PIPE) as program:
         until(head, moving=True)
         program.kill()
         begun = where(head)
         stopped = until(head, moving=False)
         reported = program.stderr.read()  # the guard has the other end of it: it is gone too
     assert abs(stopped[0] - begun[0]) + abs(stopped[1] - begun[1]) < 1.5
-    assert b"the head was halted, its program is gone" in reported
+    assert "the head was halted, its program is gone" in reported
     assert where(head) == stopped

@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 from datetime import timedelta
 
 import pytest
 
 from daemon.alarm import history as history_module
 from daemon.alarm.history import alarm_history
+from tests import programs
 from tests.daemon.alarm.conftest import (
     LOW,
     Program,
@@ -33,10 +32,13 @@ KILL = "os.kill(os.getppid(), signal.SIGKILL)"
 
 def look_in_a_process(site: Site) -> int:
     """One look in a process of its own, which may be killed."""
-    code = "import sys; from daemon.ctl import main; sys.exit(main())"
-    flags = ["--config", site.config, "--state", site.state]
-    command = [sys.executable, "-c", code, *flags, "alarm", *words(site)]
-    return subprocess.run([str(word) for word in command], check=False, timeout=120).returncode
+    with started(site) as look:
+        return look.wait()
+
+
+def started(site: Site) -> programs.Program:
+    flags = ("--config", site.config, "--state", site.state)
+    return programs.Program("daemon.ctl", *flags, "alarm", *words(site))
 
 
 def low(site: Site, program: Program, more: str = "") -> None:
@@ -275,16 +277,14 @@ def test_status_says_what_is_armed_and_raised(site: Site, program: Program) -> N
 def test_two_looks_at_the_same_time_send_one_message(site: Site, program: Program) -> None:
     """The first one waits in its receiver while the second one looks."""
     low(site, program)
-    started, go = site.state / "started", site.state / "go"
-    os.mkfifo(started)
+    begun, go = site.state / "begun", site.state / "go"
+    os.mkfifo(begun)
     os.mkfifo(go)
-    program.write(f"open({str(started)!r}, 'w').write('x'); open({str(go)!r}).read()")
-    code = "import sys; from daemon.ctl import main; sys.exit(main())"
-    flags = ["--config", site.config, "--state", site.state, "alarm", *words(site)]
-    first = subprocess.Popen([sys.executable, "-c", code, *map(str, flags)])
-    started.read_text()
-    ran = look(site)
-    assert "another look is in progress" in ran.out
-    go.write_text("x")
-    assert first.wait(120) == 0
+    program.write(f"open({str(begun)!r}, 'w').write('x'); open({str(go)!r}).read()")
+    with started(site) as first:
+        begun.read_text()
+        ran = look(site)
+        assert "another look is in progress" in ran.out
+        go.write_text("x")
+        assert first.wait() == 0
     assert len(program.messages()) == 1

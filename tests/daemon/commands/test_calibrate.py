@@ -21,6 +21,7 @@ from drivers.frameset import encode_png, format_slot, read_frame_set, write_tabl
 from drivers.sim.settings import SimSettings
 from drivers.sim.world import World
 from tests.daemon.commands.conftest import CONFIG, SEED, SMALL, Ctl, edit_table
+from tests.daemon.commands.terminals import all_of, program, started_on, terminal
 
 
 def calibrate(ctl: Ctl, bench: Path, state: Path, frames: Path, *more: str):
@@ -345,22 +346,14 @@ def test_a_reader_that_goes_away_does_not_cost_the_calibration(
 def test_on_a_terminal_it_asks(
     bench: Path, brief: Path, tmp_path: Path, answer: str, active: bool
 ) -> None:
-    """Run under script(1), which gives the program a terminal."""
     state = tmp_path / "state"
-    command = (
-        f"{sys.executable} -m daemon.ctl --config {bench / 'dcam.toml'} --state {state} "
-        f"calibrate --from {brief}"
-    )
-    ran = subprocess.run(
-        ["script", "--quiet", "--return", "--command", command, "/dev/null"],
-        cwd=Path(__file__).parents[3],
-        input=f"{answer}\n",
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert ran.returncode == 0, ran.stdout
-    assert "Make it the active calibration?" in ran.stdout
+    words = ("--config", bench / "dcam.toml", "--state", state, "calibrate", "--from", brief)
+    ours, its = terminal(80)
+    with started_on(its, program(*words), reads=True) as asking:
+        os.write(ours, f"{answer}\n".encode())
+        shown = all_of(ours)
+    assert asking.returncode == 0, shown
+    assert "Make it the active calibration?" in shown
     with open_store_readonly(state) as store:
         assert (store.active_calibration() is not None) == active
         assert len(store.calibrations()) == 1

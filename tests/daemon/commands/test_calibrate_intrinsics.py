@@ -1,13 +1,14 @@
 """`calibrate --intrinsics`: says what to show next, keeps what is of use, and when it is enough."""
 
+import itertools
 import json
 import shutil
 import signal
-import subprocess
-import sys
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from subprocess import PIPE
 
 import cv2
 import numpy as np
@@ -17,8 +18,9 @@ from core.geometry.pose import Pose
 from core.lens.lens_coverage import COLUMNS, ENOUGH_VIEWS, ROWS, lens_coverage
 from core.site import CameraGeometry, Site
 from daemon.calibration.lens_session import Bench, latest_lens_views, take_lens_views
+from daemon.calibration.session import FOLDER, CalibrationDevices, Session, take_views
 from daemon.calibration.view_check import see_board
-from daemon.commands import demo
+from daemon.commands import calibrate_head, demo
 from daemon.config.reading import load_config
 from drivers.frameset import read_frame_set, write_table
 from drivers.protocols import CapturedFrame, CapturedPair, Image
@@ -26,9 +28,9 @@ from drivers.sim.settings import SimSettings
 from drivers.sim.world import World
 from tests.daemon.commands.conftest import SEED, SMALL, Ctl, Ran
 from tests.daemon.commands.watched import Watched, watched
-from tests.waiting import PATIENCE_S, wait_for
+from tests.programs import Program, ran
+from tests.waiting import wait_for
 
-ROOT = Path(__file__).parents[3]
 CAMERA = CameraGeometry(width_px=600, height_px=400, pixel_pitch_um=5.86, focal_length_mm=6.0)
 
 
@@ -49,14 +51,8 @@ def taken(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Ran]:
     config = directory / "dcam.toml"
     config.write_text(SMALL)
     words = ["--config", config, "--state", directory / "state", "calibrate", "--intrinsics"]
-    ran = subprocess.run(
-        [sys.executable, "-m", "daemon.ctl", *words],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return directory / "state", Ran(ran.returncode, ran.stdout, ran.stderr)
+    done = ran("daemon.ctl", *words)
+    return directory / "state", Ran(done.returncode, done.stdout, done.stderr)
 
 
 @pytest.fixture
@@ -175,6 +171,17 @@ def held(config: Path) -> Watched:
     return made
 
 
+def interrupted_at(look: int) -> Callable[[int, CapturedPair], CapturedPair]:
+    """All is as it is until this look."""
+
+    def spoil(number: int, pair: CapturedPair) -> CapturedPair:
+        if number == look:
+            raise KeyboardInterrupt
+        return pair
+
+    return spoil
+
+
 def bench_of(held: Watched) -> Bench:
     rig = held.devices
     return Bench(rig.site, rig.source, rig.clock, rig.hold_board)
@@ -184,8 +191,11 @@ def test_a_board_that_is_not_moved_on_is_kept_once(held: Watched, tmp_path: Path
     held.devices = replace(
         held.devices, hold_board=lambda number: held.world.hold_board((number or 0) // 3)
     )
+    held.spoil = interrupted_at(10)
     said: list[str] = []
-    directory = take_lens_views(bench_of(held), tmp_path, lambda _covered, text: said.append(text))
+    with pytest.raises(KeyboardInterrupt):
+        take_lens_views(bench_of(held), tmp_path, lambda _covered, text: said.append(text))
+    (directory,) = (tmp_path / FOLDER).iterdir()
     assert said[0] == "view 1 kept"
     assert said[1] == said[2] == "not kept: as the view before; hold the board another way"
     assert said[3] == "view 2 kept"
@@ -196,6 +206,7 @@ def test_a_moving_or_covered_board_is_not_kept(held: Watched, tmp_path: Path) ->
     """At the first pose the board shakes, at the second a hand is before it."""
 
     def spoil(_number: int, pair: CapturedPair) -> CapturedPair:
+        interrupted_at(40)(held.captures, pair)  # thirty are of the board that shakes
         pixels = pair.sub.pixels.copy()
         if pose == [0]:
             shift_px = 5 * (held.captures % 2)
@@ -213,7 +224,8 @@ def test_a_moving_or_covered_board_is_not_kept(held: Watched, tmp_path: Path) ->
     held.spoil = spoil
     held.devices = replace(held.devices, hold_board=hold)
     said: list[str] = []
-    take_lens_views(bench_of(held), tmp_path, lambda _covered, text: said.append(text))
+    with pytest.raises(KeyboardInterrupt):
+        take_lens_views(bench_of(held), tmp_path, lambda _covered, text: said.append(text))
     assert said[0] == "not kept: the board moves; hold it still"
     assert said[1].startswith("not kept: no checkerboard")
     assert said[2] == "view 1 kept"
@@ -245,16 +257,26 @@ def test_a_blurred_board_is_not_kept(
 
 
 def test_the_head_calibration_uses_the_latest_lens_views(
-    ctl: Ctl, config: Path, state: Path
+    ctl: Ctl, config: Path, state: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Its session is begun with them, before any other view."""
     taken = latest_lens_views(state)
     write_table(
         taken.directory, taken.rows[: ENOUGH_VIEWS + 1]
     )  # simulated, it takes another number
     lens = latest_lens_views(state)
-    ran = ctl("--config", config, "--state", state, "calibrate", "--pan-tilt", "--json")
-    assert ran.code == 0, ran.err
-    frames = read_frame_set(Path(json.loads(ran.out)["frames"]))
+
+    def interrupted(devices: CalibrationDevices, *more: object) -> Session:
+        capture, stop, looks = devices.source.capture, interrupted_at(6), itertools.count(1)
+        monkeypatch.setattr(
+            devices.source, "capture", lambda slot_utc: stop(next(looks), capture(slot_utc))
+        )
+        return take_views(devices, *more)
+
+    monkeypatch.setattr(calibrate_head, "take_views", interrupted)
+    assert ctl("--config", config, "--state", state, "calibrate", "--pan-tilt").code == 1
+    (directory,) = set((state / FOLDER).iterdir()) - {taken.directory}
+    frames = read_frame_set(directory)
     assert len(frames.rows_of("intrinsics")) == len(lens.rows) == ENOUGH_VIEWS + 1
 
 
@@ -265,18 +287,12 @@ def test_lens_views_that_were_broken_off_do_not_replace_whole_ones(
     arguments = ["--config", str(config), "--state", str(state)]
     whole = latest_lens_views(state)
     second = Path(f"{whole.directory}-2")
-    with subprocess.Popen(
-        [sys.executable, "-m", "daemon.ctl", *arguments, "calibrate", "--intrinsics"],
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as program:
+    with Program("daemon.ctl", *arguments, "calibrate", "--intrinsics", stderr=PIPE) as program:
         taken = second / "frames.csv"
         wait_for(lambda: program.poll() is not None or taken.exists(), "a view of the second")
         program.send_signal(signal.SIGTERM)
-        _, err = program.communicate(timeout=PATIENCE_S)
-    assert program.returncode == 1
+        err = program.stderr.read()
+        assert program.wait() == 1
     assert err.splitlines()[-1].endswith("too few to be used; the same command starts again")
     assert read_frame_set(second).rows_of("intrinsics")
     assert latest_lens_views(state).directory == whole.directory

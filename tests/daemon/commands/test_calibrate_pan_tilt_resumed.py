@@ -3,11 +3,10 @@
 import json
 import os
 import signal
-import subprocess
-import sys
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
+from subprocess import PIPE
 from threading import Event
 
 import pytest
@@ -19,9 +18,8 @@ from daemon.store.database import open_store_readonly
 from drivers.protocols import CapturedPair
 from tests.daemon.commands.conftest import SMALL, Ctl
 from tests.daemon.commands.watched import HASH, take, watched
-from tests.waiting import PATIENCE_S, wait_for
-
-ROOT = Path(__file__).parents[3]
+from tests.programs import Program, traced
+from tests.waiting import wait_for
 
 
 @pytest.fixture
@@ -85,18 +83,10 @@ def test_killed_at_any_moment_nothing_is_half_made(
     state = tmp_path / "state"
     arguments = ["--config", str(config), "--state", str(state), "calibrate", "--pan-tilt"]
     for nth in (20, 90):
-        killed = subprocess.run(
-            [
-                *("strace", "-f", "-qq", "-o", os.devnull, "-e", "trace=fsync"),
-                *("-e", f"inject=fsync:signal=KILL:when={nth}"),
-                *(sys.executable, "-m", "daemon.ctl", *arguments),
-            ],
-            cwd=ROOT,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            check=False,
-        )
-        assert killed.returncode == -signal.SIGKILL, killed.stderr
+        kill = ("-e", "trace=fsync", "-e", f"inject=fsync:signal=KILL:when={nth}")
+        said = tmp_path / "said"
+        code = traced(("-o", os.devnull, *kill), "daemon.ctl", *arguments, stderr=said)
+        assert code == -signal.SIGKILL, said.read_text()
         if (state / "dcam.db").exists():
             with open_store_readonly(state) as store:
                 assert store.active_calibration() is None
@@ -117,25 +107,15 @@ def test_killed_at_any_moment_nothing_is_half_made(
 
 def test_sigterm_halts_and_says_how_to_go_on(config: Path, tmp_path: Path) -> None:
     state = tmp_path / "state"
-    program = subprocess.Popen(
-        [
-            *(sys.executable, "-m", "daemon.ctl", "--config", config, "--state", state),
-            *("calibrate", "--pan-tilt"),
-        ],
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    with program:
+    words = ("--config", config, "--state", state, "calibrate", "--pan-tilt")
+    with Program("daemon.ctl", *words, stderr=PIPE) as program:
         wait_for(
             lambda: program.poll() is not None or bool(list(state.glob(f"{FOLDER}/*/frames.csv"))),
             "a view",
         )
         program.send_signal(signal.SIGTERM)
-        _, err = program.communicate(timeout=PATIENCE_S)
-    assert program.returncode == 1
+        err = program.stderr.read()
+        assert program.wait() == 1
     assert "interrupted; the views are kept, the same command continues from there" in err
     assert sum("error" in line for line in err.splitlines()) == 1
     assert "Traceback" not in err

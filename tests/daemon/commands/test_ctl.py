@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import click
@@ -17,6 +14,7 @@ from daemon.main import cli as dcamd_cli
 from daemon.store.database import open_store
 from tests.daemon.commands.conftest import CONFIG, SIMULATED, Ctl
 from tests.daemon.commands.imports import modules_of
+from tests.daemon.commands.terminals import on_terminal, program
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -139,20 +137,10 @@ def test_debug_shows_where_an_error_came_from(ctl: Ctl, tmp_path: Path) -> None:
 
 
 def test_on_a_terminal_headings_are_bold_and_no_color_is_honoured(tmp_path: Path) -> None:
-    """Run under script(1), which gives the program a terminal."""
     (tmp_path / "dcam.toml").write_text(CONFIG)
-    command = f"{sys.executable} -m daemon.ctl --config {tmp_path / 'dcam.toml'} check"
-    environment = {**os.environ, "TERM": "xterm-256color", "DCAM_STATE": str(tmp_path / "state")}
+    command = program("--config", tmp_path / "dcam.toml", "--state", tmp_path / "state", "check")
     coloured, plain = (
-        subprocess.run(
-            ["script", "--quiet", "--return", "--command", command, "/dev/null"],
-            cwd=Path(__file__).parents[3],
-            env={**environment, **more},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for more in ({}, {"NO_COLOR": "1"})
+        on_terminal(80, command, TERM="xterm-256color", **more) for more in ({}, {"NO_COLOR": "1"})
     )
     assert "\x1b[1mwhat" in coloured
     assert "\x1b[3" not in plain

@@ -4,8 +4,6 @@ import csv
 import json
 import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Sequence
 from datetime import timedelta
 from pathlib import Path
@@ -18,8 +16,8 @@ from daemon.store.database import open_store_readonly
 from daemon.store.records import MeasurementRecord
 from drivers.sim.world import World
 from tests.daemon.commands.conftest import SIMULATED, Ctl
+from tests.programs import ran
 
-ROOT = Path(__file__).parents[3]
 AT_REST_BEFORE = timedelta(minutes=100)
 
 
@@ -41,14 +39,8 @@ class Pier:
 
     def run(self, slots: int) -> list[MeasurementRecord]:
         """Run dcamd; give all rows there are then."""
-        command = [sys.executable, "-m", "daemon.main", "--config", self.toml, "--state"]
-        done = subprocess.run(
-            [*command, self.state, "--max-slots", str(slots)],
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        where = ("--config", self.toml, "--state", self.state)
+        done = ran("daemon.main", *where, "--max-slots", slots)
         assert done.returncode == 0, done.stderr
         self.log = done.stderr
         with open_store_readonly(self.state) as store:
@@ -142,12 +134,12 @@ def test_a_preview_follows_the_light(tmp_path: Path, calibrated: Path, ctl: Ctl)
     """From a start ten times too short, look by look."""
     pier = Pier(tmp_path, calibrated, "auto", "")
     pier.toml.write_text(pier.toml.read_text() + "main_us = 500.0\nsub_us = 500.0\n")
-    ran = ctl(
+    done = ctl(
         *("--config", pier.toml, "--state", pier.state),
         *("preview", "--port", 0, "--looks", 4, "--interval", 0.1),
     )
-    assert ran.code == 0, ran.err
-    brightest = [re.findall(r"brightest (\d+)%", line) for line in ran.out.splitlines()]
+    assert done.code == 0, done.err
+    brightest = [re.findall(r"brightest (\d+)%", line) for line in done.out.splitlines()]
     assert len(brightest) == 4
     assert all(int(share) < 15 for share in brightest[0])
     assert all(60 < int(share) < 95 for share in brightest[-1])
@@ -157,9 +149,9 @@ def test_capture_settles_the_light_first(tmp_path: Path, calibrated: Path, ctl: 
     """With a start ten times too short a single capture still gives a value."""
     pier = Pier(tmp_path, calibrated, "auto", "")
     pier.toml.write_text(pier.toml.read_text() + "main_us = 500.0\nsub_us = 300.0\n")
-    ran = ctl("--config", pier.toml, "--state", pier.state, "capture", "--json")
-    assert ran.code == 0, ran.err
-    reported = json.loads(ran.out)
+    done = ctl("--config", pier.toml, "--state", pier.state, "capture", "--json")
+    assert done.code == 0, done.err
+    reported = json.loads(done.out)
     assert 2500.0 < reported["main"]["exposure_us"] < 7000.0
     assert 2500.0 < reported["sub"]["exposure_us"] < 7000.0
     assert reported["measurement"]["flag"] == 1

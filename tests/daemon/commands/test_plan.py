@@ -22,9 +22,15 @@ def plan(ctl: Ctl, tmp_path: Path, config: str = SITE, *options: object) -> Ran:
 
 
 def planned(ctl: Ctl, tmp_path: Path, config: str = SITE, *options: object) -> dict:
-    ran = plan(ctl, tmp_path, config, "--json", *options)
-    assert ran.code == 0, ran.err
-    return json.loads(ran.out)
+    """What a program is told; the same plan is made once."""
+    if (config, options) not in PLANNED:
+        ran = plan(ctl, tmp_path, config, "--json", *options)
+        assert ran.code == 0, ran.err
+        PLANNED[config, options] = ran.out
+    return json.loads(PLANNED[config, options])
+
+
+PLANNED: dict[tuple[str, tuple[object, ...]], str] = {}
 
 
 def changed(config: str, *changes: tuple[str, str]) -> str:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
-import subprocess
-import sys
 import urllib.error
 import urllib.request
 from pathlib import Path
+from subprocess import PIPE
 
 import cv2
 import numpy as np
@@ -18,6 +16,7 @@ import pytest
 from core.images import GreyImage
 from daemon.preview.snapshot import focus_figure
 from tests.daemon.commands.conftest import SIMULATED, Ctl
+from tests.programs import Program
 from tests.waiting import PATIENCE_S
 
 
@@ -25,12 +24,8 @@ from tests.waiting import PATIENCE_S
 def preview(tmp_path: Path):
     """A running preview: its address, and the process."""
     (tmp_path / "dcam.toml").write_text(SIMULATED, encoding="utf-8")
-    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")}
-    command = [sys.executable, "-m", "daemon.ctl", "preview", "--port", "0"]
-    paths = ["--config", str(tmp_path / "dcam.toml"), "--state", str(tmp_path / "state")]
-    with subprocess.Popen(
-        command + paths, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
-    ) as process:
+    words = ("preview", "--port", 0, "--config", tmp_path / "dcam.toml", "--state", tmp_path / "s")
+    with Program("daemon.ctl", *words, stdout=PIPE, stderr=PIPE) as process:
         reported = process.stderr.readline()
         address = reported[reported.index("http") :].split()[0]
         yield address, process

@@ -27,6 +27,7 @@ from daemon.reprocessing.parts import Parts
 from daemon.slots.identity import own_identity
 from drivers.frameset import FrameSetRow, read_frame_set, write_table
 from tests.daemon.commands.conftest import Ctl, rows_of
+from tests.programs import ran as ran_program
 from tests.waiting import wait_for
 
 DCAM_CTL = Path(sys.executable).with_name("dcam-ctl")
@@ -343,17 +344,18 @@ def test_frames_in_s3_are_measured_as_those_on_a_disk(
 ) -> None:
     """And a storage that does not answer is an error, never a row that says the image is bad."""
     environment, server = s3
-    upload = [sys.executable, "-c", UPLOAD, further / "set"]
-    subprocess.run(upload, check=True, env=environment, capture_output=True)
+    upload = tmp_path / "upload.py"
+    upload.write_text(UPLOAD)
+    assert ran_program(upload, further / "set", env=environment).returncode == 0
     here, there = tmp_path / "here.csv", tmp_path / "there.csv"
-    command = [DCAM_CTL, *arguments(further, "s3://bridge/march", there)]
-    subprocess.run(command, check=True, env=environment, capture_output=True)
+    words = arguments(further, "s3://bridge/march", there)
+    assert ran_program("daemon.ctl", *words, env=environment).returncode == 0
     ctl(*arguments(further, further / "set", here))
     assert there.read_bytes() == here.read_bytes()
     server.kill()
     server.wait()
     there.unlink()
-    ran = subprocess.run(command, check=False, env=environment, capture_output=True, text=True)
+    ran = ran_program("daemon.ctl", *words, env=environment)
     assert ran.returncode == 4
     assert "s3://bridge/march" in ran.stderr
     assert len(ran.stderr.splitlines()) == 1
@@ -370,11 +372,8 @@ def test_workers_of_another_version_are_refused_and_named() -> None:
 
 
 def test_a_scheduler_that_does_not_answer_is_one_line(further: Path, tmp_path: Path) -> None:
-    command = [
-        *(DCAM_CTL, *arguments(further, further / "set", tmp_path / "out.csv")),
-        *("--scheduler", "tcp://127.0.0.1:9"),
-    ]
-    ran = subprocess.run(command, check=False, capture_output=True, text=True)
+    words = arguments(further, further / "set", tmp_path / "out.csv")
+    ran = ran_program("daemon.ctl", *words, "--scheduler", "tcp://127.0.0.1:9")
     assert ran.returncode == 4
     assert "error: tcp://127.0.0.1:9: no scheduler answers" in ran.stderr.splitlines()[-1]
     assert "Traceback" not in ran.stderr

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
-import pty
 import re
 import signal
-import struct
-import subprocess
-import termios
 from collections.abc import Callable
 from pathlib import Path
+from subprocess import PIPE
 
 import pytest
 from rich.cells import cell_len
@@ -21,12 +17,15 @@ from daemon.store.records import GapCause
 from tests.daemon.commands.conftest import DARK, MINUTE, Ctl, Site
 from tests.daemon.commands.terminals import (
     ASCII_LOCALE,
-    ROOT,
+    all_of,
     environment,
     on_pipe,
     on_terminal,
     program,
+    started_on,
+    terminal,
 )
+from tests.programs import Program
 from tests.waiting import PATIENCE_S
 
 WORDS = ["measuring", "last good", "value", "wrong", "complete", "disk"]
@@ -93,31 +92,21 @@ def test_a_site_that_has_never_measured_says_what_to_do(ctl: Ctl, site: Site) ->
 
 def test_watch_looks_again_until_it_is_interrupted(site: Site) -> None:
     """On a terminal: the screen is cleared, words are coloured, the last verdict is the code."""
-    command = ("--config", site.config, "--state", site.state, "status", "--watch", "1")
-    ours, its = pty.openpty()
-    fcntl.ioctl(its, termios.TIOCSWINSZ, struct.pack("HHHH", 12, 80, 0, 0))
-    with subprocess.Popen(
-        program(*command), cwd=ROOT, env=environment(TERM="xterm"), stdout=its, stderr=its
-    ) as watching:
-        os.close(its)
+    command = program("--config", site.config, "--state", site.state, "status", "--watch", "1")
+    ours, its = terminal(80, lines=12)
+    with started_on(its, command, TERM="xterm") as watching:
         seen = b""
         while seen.count(b"\x1b[2J") < 3:
             seen += os.read(ours, 65536)
         held = [str(one.readlink()) for one in Path(f"/proc/{watching.pid}/fd").iterdir()]
         watching.send_signal(signal.SIGINT)
-        while True:
-            try:
-                seen += os.read(ours, 65536)
-            except OSError:  # it has ended
-                break
+        text = all_of(ours, seen)
         code = watching.wait(PATIENCE_S)
-        os.close(ours)
-    text = seen.decode()
     assert code == 2  # the record is years old
     assert "Traceback" not in text
     assert not [path for path in held if "dcam.db" in path]
     _, first, _ = text.split("\x1b[2J", 2)
-    assert 8 < first.count("\r\n") < 12  # the first line stays on the screen
+    assert 8 < first.count("\n") < 12  # the first line stays on the screen
     assert re.search(r"\x1b\[31m\x1b\[1mmeasuring", text)
 
 
@@ -214,10 +203,8 @@ def test_the_worst_is_told_first(site: Site) -> None:
 
 
 def test_watch_on_a_pipe_writes_one_block_after_the_other(site: Site) -> None:
-    command = program("--config", site.config, "--state", site.state, "status", "--watch", "1")
-    with subprocess.Popen(
-        command, cwd=ROOT, env=environment(), stdout=subprocess.PIPE, text=True
-    ) as watching:
+    command = ("--config", site.config, "--state", site.state, "status", "--watch", "1")
+    with Program("daemon.ctl", *command, env=environment(), stdout=PIPE) as watching:
         assert watching.stdout is not None
         lines: list[str] = []
         while sum(line.startswith("DCAM ") for line in lines) < 2:

@@ -5,15 +5,15 @@ from __future__ import annotations
 import csv
 import json
 import os
-import subprocess
-import sys
 from datetime import UTC, datetime
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import pytest
 
 from daemon.store.records import GapCause
 from tests.daemon.commands.conftest import Ctl, Site
+from tests.programs import ran as ran_program
 
 BERLIN = "Europe/Berlin"
 SPRING = datetime(2026, 3, 29, 0, 55, tzinfo=UTC)
@@ -137,16 +137,10 @@ def test_a_zone_that_there_is_not_is_named_in_one_line(site: Site, named: str, s
     assert said in told.out
 
 
-def local_gaps(site: Site, zone: str) -> subprocess.CompletedProcess[str]:
+def local_gaps(site: Site, zone: str) -> CompletedProcess[str]:
     """`gaps --tz local` on a computer with this `TZ`."""
-    words = ["--config", str(site.config), "--state", str(site.state), "gaps", "--tz", "local"]
-    return subprocess.run(
-        [sys.executable, "-m", "daemon.ctl", *words],
-        env={**os.environ, "TZ": zone},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    words = ("--config", site.config, "--state", site.state, "gaps", "--tz", "local")
+    return ran_program("daemon.ctl", *words, env={**os.environ, "TZ": zone})
 
 
 def test_the_zone_of_this_computer(spring: Site) -> None:

@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from daemon.control import run_state
 from daemon.control.run_state import FILE_NAME, read_run_state, runtime_directory
+from daemon.error_report import run
+from daemon.main import cli
 from tests.daemon.commands.conftest import SIMULATED
-
-DAEMON = """
-import sys
-from pathlib import Path
-from daemon.control import run_state
-run_state.RUNTIME_DIRECTORY = Path(sys.argv.pop(1))
-from daemon.main import main
-sys.exit(main())
-"""
-"""As systemd would have made the directory."""
 
 
 @pytest.mark.parametrize("is_service", [True, False])
@@ -32,13 +22,7 @@ def test_with_another_state_directory_it_is_in_memory_too(
     if is_service:
         runtime.mkdir()
     words = ["--config", str(config), "--state", str(state), "--max-slots", "1"]
-    done = subprocess.run(
-        [sys.executable, "-c", DAEMON, str(runtime), *words],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    monkeypatch.setattr(run_state, "RUNTIME_DIRECTORY", runtime)
+    monkeypatch.setattr(run_state, "RUNTIME_DIRECTORY", runtime)  # as systemd would have made it
+    assert run(cli, "dcamd", words) == 0
     assert read_run_state(runtime_directory(state)) is not None
     assert (state / FILE_NAME).exists() != is_service

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -25,7 +23,7 @@ from tests.daemon.fleet.conftest import Pier, sync
 from tests.daemon.fleet.postgres import Proxy, Server
 from tests.daemon.fleet.test_sync import rows_here, rows_there
 from tests.laboratory import laboratory
-from tests.waiting import PATIENCE_S
+from tests.programs import Program
 
 
 @pytest.fixture
@@ -62,7 +60,7 @@ def test_a_sync_that_was_killed_in_the_middle_costs_nothing(
     state = tmp_path / "one"
     fill(state, 2500)  # more than one transaction
     rows = len(rows_here(state, MEASUREMENT))
-    program: list[subprocess.Popen[bytes]] = []
+    program: list[Program] = []
 
     def none(_cuts: int) -> None:
         return None
@@ -72,9 +70,9 @@ def test_a_sync_that_was_killed_in_the_middle_costs_nothing(
 
     line = Proxy(server.port, none, at_bytes=1_500_000, then=kill)
     config.write_text(with_url(server.url(central, line.port)))
-    words = ["-m", "daemon.ctl", "--config", config, "--state", state, "sync"]
-    program.append(subprocess.Popen([sys.executable, *words], stderr=subprocess.DEVNULL))
-    assert program[0].wait(PATIENCE_S) == -signal.SIGKILL
+    program.append(Program("daemon.ctl", "--config", config, "--state", state, "sync"))
+    with program[0]:
+        assert program[0].wait() == -signal.SIGKILL
     line.close()
     name = site_name(config)
     copied = len(rows_there(server.url(central), MEASUREMENT, name))

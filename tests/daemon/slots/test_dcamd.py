@@ -19,7 +19,7 @@ from daemon.clock.machine import BOOT_ID_VARIABLE
 from daemon.store.database import Store, open_store
 from daemon.store.records import GapCause, Mark
 from tests.laboratory import laboratory
-from tests.programs import Program, ran
+from tests.programs import Program, ran, traced
 from tests.waiting import PATIENCE_S
 
 DCAMD = [sys.executable, "-m", "daemon.main"]
@@ -283,20 +283,8 @@ STEPS = {
 
 
 def slot_under_strace(site: Site, *options: str) -> int:
-    """How a dcamd of one slot ends, with strace attached from its beginning."""
-    if not shutil.which("strace"):
-        pytest.skip("strace is not installed")
-    with Program(
-        "daemon.main", *site.where(), "--max-slots", "1", stderr=site.log, stopped=True
-    ) as program:
-        command = ["strace", "-f", *options, "-p", str(program.pid)]
-        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as strace:
-            said = strace.stderr.readline()
-            program.send_signal(signal.SIGCONT)
-            code = program.wait(PATIENCE_S)
-    if "attached" not in said:
-        pytest.skip(f"strace may not trace here: {said}")
-    return code
+    """How a dcamd of one slot ends."""
+    return traced(options, "daemon.main", *site.where(), "--max-slots", 1, stderr=site.log)
 
 
 @pytest.fixture(scope="module")

@@ -3,16 +3,15 @@
 import json
 import re
 import signal
-import subprocess
-import sys
 from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
+from subprocess import PIPE
 
 import pytest
 
 from daemon.control.run_state import read_run_state
-from tests.daemon.slots.test_dcamd import MARCH, REAL_TIME, ROOT, Site
+from tests.daemon.slots.test_dcamd import MARCH, REAL_TIME, Site
 from tests.programs import Program, ran
 from tests.waiting import PATIENCE_S
 
@@ -86,19 +85,12 @@ def test_a_watchdog_that_waits_long_enough_is_left_alone(site: Site, monkeypatch
 
 
 def test_a_slot_that_hangs_feeds_nothing_and_its_pair_is_measured_after_the_abort(
-    site: Site,
+    site: Site, tmp_path: Path
 ) -> None:
     environ = site.environ() | {"WATCHDOG_USEC": "100000"}  # a timer would feed twenty times
-    with site.log.open("w") as log:
-        process = subprocess.Popen(
-            [sys.executable, "-c", HANGS_AT_ITS_SECOND_SLOT, *site.where()],
-            cwd=ROOT,
-            env=environ,
-            stdout=subprocess.PIPE,
-            stderr=log,
-            text=True,
-        )
-    with process:
+    script = tmp_path / "hangs.py"
+    script.write_text(HANGS_AT_ITS_SECOND_SLOT)
+    with Program(script, *site.where(), env=environ, stdout=PIPE, stderr=site.log) as process:
         assert process.stdout.readline() == "hangs\n"
         site.notified(r"^WATCHDOG=1$")  # of the first slot
         site.manager.settimeout(1.0)
@@ -117,16 +109,13 @@ def test_a_slot_that_hangs_feeds_nothing_and_its_pair_is_measured_after_the_abor
         assert len(store.measured_slots()) == 3
 
 
-def test_a_library_that_hangs_at_the_end_cannot_keep_the_process(site: Site) -> None:
+def test_a_library_that_hangs_at_the_end_cannot_keep_the_process(
+    site: Site, tmp_path: Path
+) -> None:
     """It holds even the interpreter's lock, so that nothing of Python runs any more."""
-    done = subprocess.run(
-        [sys.executable, "-c", HANGS_WHEN_IT_CLOSES, *site.where(), "--max-slots", "1"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    script = tmp_path / "hangs.py"
+    script.write_text(HANGS_WHEN_IT_CLOSES)
+    done = ran(script, *site.where(), "--max-slots", 1)
     assert done.returncode == 1
     assert "Timeout (0:00:00" in done.stderr
     with site.store() as store:

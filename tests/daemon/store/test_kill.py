@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-import subprocess
-import sys
 from collections import defaultdict
 from pathlib import Path
 
@@ -17,18 +15,16 @@ from daemon.store.frames.archive import FrameArchive
 from drivers.frameset import read_frame_set
 from tests.daemon.store.examples import PERIOD_S, full_record, pair, slot
 from tests.daemon.store.writer import SLOTS
+from tests.programs import ran, traced
 
-ROOT = Path(__file__).parents[3]
-WRITER = [sys.executable, "-m", "tests.daemon.store.writer"]
+WRITER = "tests.daemon.store.writer"
 
 
 @pytest.fixture(scope="module")
 def killed(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, list[int]]:
     """The state directory of each killed run, with the slots that it acknowledged."""
     states = tmp_path_factory.mktemp("killed")
-    result = subprocess.run(
-        [*WRITER, str(states), "--kill"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+    result = ran(WRITER, states, "--kill")
     assert result.returncode == 0, result.stderr
     acknowledged = defaultdict(list)
     for line in result.stdout.splitlines():
@@ -89,19 +85,13 @@ def test_what_is_left_can_be_taken_up_and_finished(
     assert orphans_seen > SLOTS
 
 
-@pytest.mark.skipif(shutil.which("strace") is None, reason="strace is not installed")
 def test_frames_then_line_then_row_then_acknowledgement(tmp_path: Path) -> None:
     """The order of the system calls, as the kernel sees them: the right one to lose power in."""
     trace = tmp_path / "trace"
     calls = "fsync,fdatasync,rename,renameat,renameat2,write,pwrite64,mkdir"
-    command = ["strace", "-f", "-y", "-s", "16", "-o", str(trace), "-e", f"trace={calls}"]
+    options = ("-y", "-s", "16", "-o", str(trace), "-e", f"trace={calls}")
     state = tmp_path / "state"
-    result = subprocess.run(
-        [*command, *WRITER, str(state)], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    if "ptrace" in result.stderr:
-        pytest.skip(f"strace may not trace here: {result.stderr.splitlines()[0]}")
-    assert result.returncode == 0, result.stderr
+    assert traced(options, WRITER, state) == 0
     day = f"{state}/frames/2026/03/01"
     wanted = [
         rf'mkdir\("{day}"',
