@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 import daemon  # noqa: F401
+from daemon.commands import priority
 from daemon.log import configure_log
 from tests import compiled_sql
 from tests.drivers.genicam.usb3 import bench
@@ -27,6 +28,9 @@ sys.dont_write_bytecode = False
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 compiled_sql.share()
+
+# A command at the lowest priority would wait until all other tests have ended.
+priority._LOWEST = os.getpriority(os.PRIO_PROCESS, 0)
 
 # As in our programs: structlog's own way draws every local variable of a traceback.
 configure_log()

@@ -23,7 +23,7 @@ from tests.daemon.commands.conftest import Ctl
 
 PNG = b"\x89PNG\r\n\x1a\n"
 SMALLER = (
-    *(("1920", "640"), ("1200\npixel", "400\npixel"), ("5.86", "17.58")),
+    *(("1920", "480"), ("1200\npixel", "300\npixel"), ("5.86", "23.44")),
     *(("squares_x = 32", "squares_x = 16"), ("squares_y = 31", "squares_y = 15")),
     ("square_mm = 2.0", "square_mm = 4.0"),
 )
@@ -31,7 +31,7 @@ SMALLER = (
 
 @pytest.fixture
 def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The demo's site on sensors of a third of the pixels, for its first 24 slots.
+    """The demo's site on sensors of a quarter of the pixels, for its first 24 slots.
 
     Its board has a quarter of the squares, so that a calibration takes a third of the time.
     """

@@ -1,6 +1,7 @@
 """`dcam-ctl verify`: reads everything, finds what is wrong with it, and says what to do."""
 
 import json
+import os
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from daemon.commands import priority
 from daemon.config.reading import load_config
 from daemon.schedule import Schedule
 from daemon.slots.missing_slots import note_schedule
@@ -75,6 +77,15 @@ def test_all_is_well(site: Site) -> None:
     assert {path.name for path in site.state.iterdir()} <= {
         *("dcam.db", "dcam.db-wal", "dcam.db-shm", "frames")
     }
+
+
+def test_it_reads_at_the_lowest_priority(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A running dcamd goes first; what comes after is as it was."""
+    given, before = [], os.getpriority(os.PRIO_PROCESS, 0)
+    monkeypatch.setattr(priority, "_LOWEST", 19)
+    monkeypatch.setattr(os, "setpriority", lambda *how: given.append(how))
+    assert site.verify().code == 0
+    assert given == [(os.PRIO_PROCESS, 0, 19), (os.PRIO_PROCESS, 0, before)]
 
 
 def removed(*names: str) -> Callable[[Site], object]:
