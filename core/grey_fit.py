@@ -68,6 +68,22 @@ def solve_spd(matrix: FloatArray, vector: FloatArray, n: int) -> bool:
 
 
 @inner_loop
+def solve_keeping(
+    matrix: FloatArray, vector: FloatArray, factor: FloatArray, solution: FloatArray, n: int
+) -> bool:
+    """As `solve_spd`, but leave matrix and vector as they are: factor and solution are written.
+
+    Element by element: for an assignment of arrays Numba compiles its message of unequal shapes
+    too, which takes seconds.
+    """
+    for i in range(n):
+        solution[i] = vector[i]
+        for j in range(i + 1):
+            factor[i, j] = matrix[i, j]
+    return solve_spd(factor, solution, n)
+
+
+@inner_loop
 def substitute(factor: FloatArray, vector: FloatArray, n: int) -> None:
     """Solve in place with the Cholesky factor that `solve_spd` leaves."""
     for i in range(n):

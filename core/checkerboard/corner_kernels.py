@@ -20,7 +20,7 @@ from core.checkerboard.corner_equations import (
 )
 from core.checkerboard.light_kernels import BOX, fit_light_planes
 from core.compiled import compiled, inner_loop
-from core.grey_fit import MIN_PIXELS, solve_spd
+from core.grey_fit import MIN_PIXELS, solve_keeping
 from core.images import PixelArray
 
 _LANES = 16
@@ -201,7 +201,8 @@ def fit_corners(
     samples, c = np.zeros((4, room), np.float32), np.zeros(SCALARS, np.float32)
     settled_px = _SETTLED_PX if noise[4] > 0.0 else _NEARLY_PX
     bounds = np.zeros(6)
-    bounds[:4] = limits
+    for i in range(4):
+        bounds[i] = limits[i]
     for k in which:
         m, p = maps[k], state[k]
         figures[k, :] = 0.0
@@ -222,9 +223,7 @@ def fit_corners(
         for turn in range(iterations):
             _pack(p, blurs[k], noise, limits[3], noise[4] if turn > 0 else 0.0, c)
             squares, effective_count = accumulate(samples, padded, c, normal, right)
-            factor[:, :] = normal
-            step[:] = right
-            usable = solve_spd(factor, step, n)
+            usable = solve_keeping(normal, right, factor, step, n)
             if not usable:
                 break
             gain = p[GAIN]
@@ -268,7 +267,8 @@ def fit_even_corners(
     samples, c = np.zeros((4, room), np.float32), np.zeros(SCALARS, np.float32)
     samples[3, :] = 1.0
     bounds, planes, parts = np.zeros(6), np.zeros((2, 3)), np.zeros((8, 4))
-    bounds[:4] = limits
+    for i in range(4):
+        bounds[i] = limits[i]
     for k in range(len(points)):
         m, p = maps[k], state[k]
         figures[k, :] = 0.0
@@ -292,9 +292,7 @@ def fit_even_corners(
         for _ in range(iterations):
             _pack(p, blurs[k], noise, limits[3], 0.0, c)
             squares = accumulate_even(samples, padded, c, normal, right)
-            factor[:, :] = normal
-            step[:] = right
-            usable = solve_spd(factor, step, n)
+            usable = solve_keeping(normal, right, factor, step, n)
             if not usable:
                 break
             for a in range(n):

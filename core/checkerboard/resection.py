@@ -178,7 +178,7 @@ def resect(
     >>> pose = Pose.from_vectors(np.array([0.2, -0.1, 0.0]), np.array([-120.0, -90.0, 800.0]))
     >>> points_px = lens.project(pose.apply(corners_mm))
     >>> view = BoardView(np.arange(54), points_px, np.tile(0.01**2 * np.eye(2), (54, 1, 1)))
-    >>> resect(lens, corners_mm, view).pose.vector.round(6).tolist()
+    >>> (resect(lens, corners_mm, view).pose.vector.round(6) + 0.0).tolist()
     [0.2, -0.1, 0.0, -120.0, -90.0, 800.0]
     """
     if len(view.index) < MIN_CORNERS:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from core.arrays import FloatArray, IntArray
 from core.compiled import compiled, inner_loop
-from core.grey_fit import MIN_PIXELS, edge, pixel_weight, reduce_to_shift, solve_spd
+from core.grey_fit import MIN_PIXELS, edge, pixel_weight, reduce_to_shift, solve_keeping
 
 DISC_PARAMETERS = 12
 """Of the model: shift 2, outline 3, offset and its slopes 3, gain and its slopes 3, blur 1."""
@@ -168,9 +168,7 @@ def _advance(
     unit: place, outline and blur. A disc is symmetric, so that its place comes to rest before its
     size and its blur do.
     """
-    factor[:, :] = normal
-    step[:] = right
-    if not solve_spd(factor, step, len(p)):
+    if not solve_keeping(normal, right, factor, step, len(p)):
         return False, 0.0
     moved_px = abs(step[_BLUR])
     for a in range(5):

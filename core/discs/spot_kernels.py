@@ -315,7 +315,8 @@ def outline_peaks(grey: Grey, peaks: FloatArray, most_steps: int) -> tuple[Float
             region[5], region[6] = _sharpness(grey, us, vs, steps), steps
             if region[5] > sharpest:
                 sharpest = region[5]
-                regions[count] = region
+                for i in range(REGION):
+                    regions[count, i] = region[i]
         count += sharpest > 0.0
     return regions[:count], taken
 

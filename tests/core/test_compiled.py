@@ -44,6 +44,7 @@ import json, os, resource, runpy, sys
 import numba
 import core.compiled
 
+numba.njit(lambda number: number)(1)
 for line in sys.stdin:
     order = json.loads(line)
     if os.fork() == 0:
@@ -57,7 +58,7 @@ for line in sys.stdin:
     if status:
         print("failed", flush=True)
 """
-"""Imports Numba once, which takes a second, and forks a process for each program."""
+"""Gets Numba ready once, which takes two seconds, and forks a process for each program."""
 
 
 @pytest.fixture(scope="module")
