@@ -33,10 +33,10 @@ venv: $(INSTALLED)
 demo: $(INSTALLED)
 	$(BIN)/dcam-ctl demo --output out/demo
 
-# One process more than cores: a third of the time a test waits, for a slot, a camera, a disk.
+# Two processes more than cores: a third of the time a test waits, for a slot, a camera, a disk.
 test: $(INSTALLED)
 	@sh .ci/system-packages $(PYTHON) tests
-	$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 1)) --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 2)) --dist loadfile --no-loadscope-reorder
 
 # Each system call, each operation on the disk and each bit of a header, where `make test` takes every third or so.
 exhaustive: $(INSTALLED)

@@ -5,7 +5,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,10 +38,15 @@ configure_log()
 TALLY = "tally"
 HERE = Path(__file__).parent
 LONGEST_FIRST = (
-    *("crash", "drivers/heads/test_head_programs.py", "system", "soak", "faults"),
-    *("daemon/slots", "daemon/commands", "drivers/genicam", "daemon", "core"),
+    *("daemon/commands/test_demo.py", "daemon/web/test_page.py", "deploy", "soak", "crash"),
+    *("drivers/genicam", "system", "faults", "drivers/heads/test_head_programs.py"),
+    *("daemon/slots/test_dcamd.py", "daemon/commands/test_calibrate", "daemon/commands"),
+    *("docs", "core/calibration", "core/analysis", "daemon/store", "daemon/slots", "daemon"),
+    *("studies", "drivers/test_camera_contract.py", "drivers/heads", "drivers/sim", "core"),
 )
-"""Where tests take long; in this order, so that no process is left alone with them at the end."""
+"""Files that take long, by the beginnings of their names: no process is left alone with one."""
+WAITING = ("drivers", "faults", "soak", "system", "daemon/readings", "daemon/slots", "daemon/web")
+"""Whose tests wait half of their time: for a slot, a camera, a browser."""
 
 
 COMPILING = pytest.StashKey[subprocess.Popen[bytes]]()
@@ -53,7 +58,9 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile the loops while the processes collect the tests, once for all of them."""
     if session.config.getoption("numprocesses", None):  # not in the processes themselves
         command = [sys.executable, "-m", "tests.all_loops"]
-        session.config.stash[COMPILING] = subprocess.Popen(command, cwd=HERE.parent)
+        session.config.stash[COMPILING] = subprocess.Popen(
+            command, cwd=HERE.parent, start_new_session=True
+        )
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -64,8 +71,9 @@ def pytest_xdist_node_collection_finished(node: Any) -> None:
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """End what compiles, where no test had to wait for it."""
-    if compiling := session.config.stash.get(COMPILING, None):
-        compiling.terminate()
+    compiling = session.config.stash.get(COMPILING, None)
+    if compiling is not None and compiling.poll() is None:
+        os.killpg(compiling.pid, signal.SIGTERM)
         compiling.wait()
 
 
@@ -76,15 +84,23 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the files of long tests first; each process takes the next file when it is free."""
+    """Put the files of long tests first; each process takes the next file when it is free.
 
-    def rank(item: pytest.Item) -> int:
-        return next(
-            (k for k, name in enumerate(LONGEST_FIRST) if item.path.is_relative_to(HERE / name)),
-            len(LONGEST_FIRST),
-        )
+    Files whose tests wait lie evenly among the others, so that the cores always have work.
+    """
+    names = [path.relative_to(HERE).as_posix() for path in dict.fromkeys(i.path for i in items)]
+    names.sort(key=lambda name: _place(name, LONGEST_FIRST))
+    turns = {}
+    for waits in (False, True):
+        alike = [name for name in names if name.startswith(WAITING) is waits]
+        turns |= {HERE / name: (k + 0.5) / len(alike) for k, name in enumerate(alike)}
+    items.sort(key=lambda item: turns[item.path])
 
-    items.sort(key=rank)
+
+def _place(name: str, beginnings: Sequence[str]) -> int:
+    """Which beginning a name has; one more than the last where it has none."""
+    found = (k for k, beginning in enumerate(beginnings) if name.startswith(beginning))
+    return next(found, len(beginnings))
 
 
 @pytest.fixture
