@@ -57,7 +57,9 @@ class CameraSettings:
     open_timeout_s: float = 15.0
     """Deadline of `Camera.open`."""
     command_timeout_s: float = 4.0
-    """Deadline of `arm`, `trigger` and `close`, each."""
+    """Deadline of `arm` and `trigger`, each."""
+    close_timeout_s: float = 4.0
+    """Of `close`, which then leaves behind what the library has not let go of."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -104,7 +104,7 @@ class AravisCamera:
 
     def close(self) -> None:
         """Release the device; safe to call at any time, more than once."""
-        self._discard(self._settings.command_timeout_s)
+        self._discard(self._settings.close_timeout_s)
 
     def _call(self, what: str, function: Callable[[Session], _T], timeout_s: float) -> _T:
         opened = self._opened

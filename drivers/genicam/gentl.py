@@ -140,7 +140,7 @@ class GentlCamera:
         """Release the device; safe to call at any time, more than once."""
         if self._worker is not None:
             try:
-                self._call("release", self._settings.command_timeout_s)
+                self._call("release", self._settings.close_timeout_s)
             except DeviceError as error:
                 _log.info("camera_released", serial=self._serial, reason=str(error))
         self._discard()

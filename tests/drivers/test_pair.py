@@ -1,122 +1,32 @@
-"""A pair of cameras gives both frames or says which camera failed, always within its deadline."""
+"""A pair of cameras gives both frames, whole and new, of one trigger."""
 
 from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 
 import numpy as np
 import pytest
 
 from drivers.clock import SteppedClock
-from drivers.errors import DeviceError, DeviceLostError, FrameTimeoutError, IncompleteFrameError
-from drivers.pair import FAILURES_TO_REOPEN, LAST_BACK_OFF_S, SynchronizedPair
+from drivers.errors import DeviceLostError, IncompleteFrameError
+from drivers.pair import LAST_BACK_OFF_S, SynchronizedPair
 from drivers.protocols import CapturedFrame
 from drivers.sim.cameras import SimulatedCamera
 from drivers.sim.settings import Scenario, SimSettings
 from drivers.sim.world import World
-from tests.drivers.hang import Hang, ImpatientThread
+from tests.drivers.fake_pair import PIXELS, SLOT, Rig, fails_with, fake_rig
 from tests.drivers.sim.rigs import site
 from tests.waiting import PATIENCE_S
 
-SLOT = datetime(2026, 3, 1, tzinfo=UTC)
-PIXELS = np.zeros((4, 6), np.uint8)
-
-
-class FakeCamera:
-    """A camera that does as asked: `on` maps a call's name to what happens in it."""
-
-    def __init__(self, serial: str, trigger_s: float = 0.0) -> None:
-        self.serial = serial
-        self.is_lost = False
-        self.trigger_s = trigger_s
-        self.calls: list[str] = []
-        self.exposures: list[tuple[float, float | None]] = []
-        self.threads: set[int] = set()
-        self.hang = Hang()
-        self.on: dict[str, Callable[[], None]] = {}
-        self.give: object = ...
-        """What fetch gives; ...: a new frame."""
-
-    def _called(self, name: str) -> None:
-        self.calls.append(name)
-        self.threads.add(threading.get_ident())
-        self.on.get(name, lambda: None)()
-
-    def open(self) -> None:
-        self._called("open")
-
-    def set_exposure(self, exposure_us: float, gain_db: float | None) -> None:
-        self.exposures.append((exposure_us, gain_db))
-        self._called("set_exposure")
-
-    def arm(self) -> None:
-        self._called("arm")
-
-    def trigger(self) -> None:
-        self._called("trigger")
-
-    def fetch(self, timeout_s: float) -> CapturedFrame:
-        self._called("fetch")
-        if self.give is not ...:
-            return self.give
-        return CapturedFrame(PIXELS, 8, self.calls.count("trigger"), 0, self.trigger_s)
-
-    def close(self) -> None:
-        self._called("close")
-
-
-def _raise(error: Exception) -> Callable[[], None]:
-    def raise_it() -> None:
-        raise error
-
-    return raise_it
-
-
-class Rig:
-    """Two fake cameras, a stepped clock and their pair."""
-
-    def __init__(self) -> None:
-        self.main, self.sub = FakeCamera("M1", 7.0), FakeCamera("S1", 7.25)
-        self.clock = SteppedClock(SLOT)
-        self.pair = SynchronizedPair(
-            self.main,
-            self.sub,
-            self.clock,
-            sizes_px=((6, 4), (6, 4)),
-            make_thread=self._make_thread,
-        )
-        self._threads: list[ImpatientThread] = []
-
-    def _make_thread(self, name: str, at_end: Callable[[], None]) -> ImpatientThread:
-        hang = (self.sub if name.startswith("sub") else self.main).hang
-        self._threads.append(ImpatientThread(name, at_end, hang))
-        return self._threads[-1]
-
-    def fail(self) -> DeviceError:
-        """Capture, which must fail."""
-        with pytest.raises(DeviceError) as caught:
-            self.pair.capture(SLOT)
-        return caught.value
-
-    def let_go(self) -> None:
-        """Let what hangs return, and the threads that were left behind in it end."""
-        self.main.hang.release()
-        self.sub.hang.release()
-        for thread in self._threads:
-            if thread.ended:
-                thread.wait_for_end()
-
 
 @pytest.fixture
-def rig():
-    rig = Rig()
-    yield rig
-    rig.let_go()
-    rig.pair.close()
+def rig() -> Iterator[Rig]:
+    with fake_rig() as made:
+        yield made
 
 
 def test_both_are_armed_then_triggered_from_two_threads(rig: Rig) -> None:
@@ -142,7 +52,7 @@ def test_an_exposure_is_set_once_before_arming_and_again_to_a_camera_opened_agai
     shot = ["arm", "trigger", "fetch"]
     assert rig.sub.calls == ["open", "set_exposure", *shot, "set_exposure", *shot, *shot]
     assert rig.sub.exposures == [(800.0, None), (400.0, 6.0)]
-    rig.sub.on["trigger"] = _raise(DeviceLostError("camera S1: control lost"))
+    rig.sub.on["trigger"] = fails_with(DeviceLostError("camera S1: control lost"))
     rig.fail()
     del rig.sub.on["trigger"]
     rig.clock.advance(LAST_BACK_OFF_S)
@@ -163,191 +73,10 @@ def test_triggers_meet(rig: Rig) -> None:
 
 def test_nothing_is_exposed_unless_both_are_ready(rig: Rig) -> None:
     """With one camera missing the other is armed and not triggered."""
-    rig.sub.on["open"] = _raise(DeviceLostError("camera S1: not found"))
+    rig.sub.on["open"] = fails_with(DeviceLostError("camera S1: not found"))
     error = rig.fail()
     assert (error.role, str(error)) == ("sub", "camera S1: not found")
     assert rig.main.calls == ["open", "arm"]
-
-
-def test_a_lost_camera_is_left_alone_and_then_opened_again(rig: Rig) -> None:
-    """After a loss the camera is closed, not touched during the pause, then opened and used."""
-    rig.pair.capture(SLOT)
-    rig.main.on["trigger"] = _raise(DeviceLostError("camera M1: control lost"))
-    error = rig.fail()
-    assert isinstance(error, DeviceLostError)
-    assert error.role == "main"
-    rig.main.on.clear()
-    error = rig.fail()
-    assert str(error) == "camera M1: control lost; next attempt in 1 s"
-    assert error.role == "main"
-    rig.clock.advance(1.0)
-    rig.pair.capture(SLOT)
-    assert rig.main.calls[-5:] == ["close", "open", "arm", "trigger", "fetch"]
-    assert rig.sub.calls.count("open") == 1
-
-
-def test_the_pause_grows_to_half_a_minute(rig: Rig) -> None:
-    """Attempts to open a dead camera: at most one in 1, 2, 4 ... 30 s; one a minute always."""
-    rig.main.on["open"] = _raise(DeviceLostError("M1"))
-    for second in range(200):
-        rig.fail()
-        assert rig.main.calls.count("open") <= 6 + second // LAST_BACK_OFF_S
-        rig.clock.advance(1.0)
-    opened = rig.main.calls.count("open")
-    rig.clock.advance(60.0)
-    rig.fail()
-    assert rig.main.calls.count("open") == opened + 1
-
-
-def test_after_recovery_the_pause_is_short_again(rig: Rig) -> None:
-    """The back-off of one fault does not burden the next."""
-    for _ in range(6):
-        rig.main.on["open"] = _raise(DeviceLostError("M1 gone"))
-        rig.fail()
-        rig.clock.advance(60.0)
-    rig.main.on.clear()
-    rig.pair.capture(SLOT)
-    rig.main.on["trigger"] = _raise(DeviceLostError("M1 gone"))
-    rig.fail()
-    assert "next attempt in 1 s" in str(rig.fail())
-
-
-@pytest.mark.parametrize("error", [FrameTimeoutError("S1: no frame"), IncompleteFrameError("S1")])
-def test_a_missed_frame_is_no_loss(rig: Rig, error: DeviceError) -> None:
-    """A time-out or an incomplete frame fails one slot; only several in a row reopen the camera."""
-    rig.sub.on["fetch"] = _raise(error)
-    caught = rig.fail()
-    assert type(caught) is type(error)
-    assert caught.role == "sub"
-    rig.sub.on.clear()
-    rig.pair.capture(SLOT)
-    assert rig.sub.calls.count("open") == 1
-    rig.sub.on["fetch"] = _raise(error)
-    for _ in range(FAILURES_TO_REOPEN):
-        rig.fail()
-    rig.sub.on.clear()
-    rig.clock.advance(60.0)
-    rig.pair.capture(SLOT)
-    assert rig.sub.calls.count("open") == 2
-
-
-def test_two_dead_cameras_are_both_named(rig: Rig) -> None:
-    """When both fail the error names both, and no single role."""
-    rig.main.on["open"] = _raise(DeviceLostError("M1 gone"))
-    rig.sub.on["open"] = _raise(DeviceLostError("S1 gone"))
-    error = rig.fail()
-    assert (str(error), error.role) == ("M1 gone; S1 gone", None)
-    assert isinstance(error, DeviceLostError)
-
-
-def test_what_both_cameras_say_alike_is_said_once(rig: Rig) -> None:
-    for camera in (rig.main, rig.sub):
-        camera.on["open"] = _raise(DeviceLostError("M1 and S1: no library"))
-    error = rig.fail()
-    assert str(error) == "M1 and S1: no library"
-
-
-@pytest.mark.parametrize("call", ["open", "arm", "trigger", "fetch"])
-def test_a_hung_call_costs_no_more_than_its_deadline(rig: Rig, call: str) -> None:
-    """A call that never returns is left behind; later slots fail at once; then it recovers."""
-    rig.main.on[call] = rig.main.hang.block
-    before = threading.active_count()
-    error = rig.fail()
-    assert isinstance(error, DeviceLostError)
-    assert error.role == "main"
-    assert "main camera M1" in str(error)
-    assert "did not end within" in str(error)
-    for _ in range(20):
-        rig.clock.advance(60.0)
-        error = rig.fail()
-        assert "still has not; restart" in str(error)
-    assert threading.active_count() <= before + 3  # two cameras' and the one that watches them
-    assert rig.main.calls.count(call) == 1
-    rig.let_go()
-    rig.main.on.clear()
-    assert rig.main.calls[-1] == "close"
-    assert threading.active_count() <= before + 2
-    rig.clock.advance(60.0)
-    rig.pair.capture(SLOT)
-    assert rig.main.calls[-4:] == ["open", "arm", "trigger", "fetch"]
-
-
-def test_a_deadline_passes_by_the_clock() -> None:
-    """In the other tests it does as soon as a call hangs; here the call would hang for ever."""
-    main, sub = FakeCamera("M1"), FakeCamera("S1")
-    main.on["open"] = main.hang.block
-    pair = SynchronizedPair(main, sub, SteppedClock(SLOT), open_timeout_s=0.05)
-    with pytest.raises(
-        DeviceLostError, match=r"main camera M1: opening did not end within 0\.05 s"
-    ):
-        pair.prepare()
-    main.hang.release()
-    pair.close()
-
-
-def test_close_does_not_wait_for_a_hung_camera(rig: Rig) -> None:
-    """Closing the pair while a camera hangs ends; closing twice is allowed."""
-    rig.sub.on["fetch"] = rig.sub.hang.block
-    rig.fail()
-    rig.pair.close()
-    rig.pair.close()
-    assert rig.sub.hang.on
-
-
-@pytest.mark.parametrize("error", [ZeroDivisionError("a bug"), SystemExit("over")])
-def test_a_driver_that_breaks_is_named_and_opened_again(rig: Rig, error: Exception) -> None:
-    """What is no device's error costs this attempt; both cameras have ended theirs by then."""
-    fetched = threading.Event()
-    rig.main.on["trigger"] = _raise(error)
-    rig.sub.on["fetch"] = fetched.set
-    caught = rig.fail()
-    name = type(error).__name__
-    assert str(caught) == f"main camera M1: its driver broke ({name}: {error})"
-    assert caught.role == "main"
-    assert fetched.is_set()
-    rig.main.on.clear()
-    rig.clock.advance(60.0)
-    rig.pair.capture(SLOT)
-    assert rig.main.calls[-5:] == ["close", "open", "arm", "trigger", "fetch"]
-
-
-def test_a_close_that_fails_is_nobodys_trouble(rig: Rig) -> None:
-    """The camera is opened again all the same, and a thread that ends does so quietly."""
-    rig.main.on["arm"] = _raise(DeviceLostError("M1 gone"))
-    rig.main.on["close"] = _raise(OSError("no such device"))
-    rig.fail()
-    del rig.main.on["arm"]
-    rig.clock.advance(60.0)
-    rig.pair.capture(SLOT)
-    rig.pair.close()
-    rig.pair.capture(SLOT)
-
-
-def test_what_waits_behind_a_hung_call_is_not_made_any_more(rig: Rig) -> None:
-    """A camera that hangs in its release is not opened by the slot that had given it up."""
-    rig.main.on["arm"] = _raise(DeviceLostError("M1 gone"))
-    rig.main.on["close"] = rig.main.hang.block
-    rig.fail()
-    del rig.main.on["arm"]
-    rig.clock.advance(60.0)
-    error = rig.fail()
-    assert "did not end within" in str(error)
-    calls = rig.main.calls.copy()
-    rig.main.on.clear()
-    rig.let_go()
-    assert rig.main.calls == [*calls, "close"]  # its thread has ended
-    rig.clock.advance(60.0)
-    rig.pair.capture(SLOT)
-
-
-def test_a_camera_that_hangs_when_asked_to_close_says_so(rig: Rig) -> None:
-    rig.pair.capture(SLOT)
-    rig.sub.on["close"] = rig.sub.hang.block
-    rig.pair.close()
-    error = rig.fail()
-    assert str(error).startswith("sub camera S1: closing did not end within 5 s, and still")
-    rig.let_go()
-    rig.pair.capture(SLOT)
 
 
 FRAME = CapturedFrame(PIXELS, 8, 1, 5, 7.0)

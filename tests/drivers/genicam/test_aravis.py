@@ -25,7 +25,6 @@ from tests.drivers.genicam.gige.bench import (
     HEIGHT_PX,
     SETTINGS,
     WIDTH_PX,
-    gige_network,
     image_index,
     running,
     shoot,
@@ -40,17 +39,6 @@ MAIN, SUB = "15290000", "15290001"
 GS3_XML = REPOSITORY / "tests/drivers/genicam/gige/gs3.xml"
 UNUSED = 0xB0F0
 """An address that means nothing to the camera."""
-
-
-@pytest.fixture(scope="module")
-def network() -> Iterator[None]:
-    with gige_network():
-        yield
-
-
-@pytest.fixture(scope="module")
-def images(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    return write_images(tmp_path_factory.mktemp("images"), 3, seed=2)
 
 
 @pytest.fixture

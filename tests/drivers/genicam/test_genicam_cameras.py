@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.clock import SystemClock
 from drivers.errors import (
     DeviceError,
     DeviceLostError,
@@ -27,42 +26,24 @@ from drivers.errors import (
     IncompleteFrameError,
     SettingRefusedError,
 )
-from drivers.pair import SynchronizedPair
 from drivers.protocols import Camera, CameraSettings, LineOut, TriggerIn
 from tests.drivers.genicam.gige import registers
 from tests.drivers.genicam.gige.bench import (
     HEIGHT_PX,
     SETTINGS,
     WIDTH_PX,
-    gige_network,
     image_index,
     read_pixels,
     running,
     shoot,
     write_images,
 )
-from tests.drivers.genicam.gige.kinds import KINDS, Kind, kind_of
+from tests.drivers.genicam.gige.kinds import Kind
 from tests.drivers.genicam.gige.loopback import ADDRESSES, THIRD_ADDRESS
 from tests.drivers.genicam.gige.process import REPOSITORY, CameraProcess
-from tests.waiting import PATIENCE_S, wait_for
+from tests.waiting import wait_for
 
 MAIN, SUB, STANDING = "15290000", "15290001", "15290002"
-
-
-@pytest.fixture(scope="module")
-def network() -> Iterator[None]:
-    with gige_network():
-        yield
-
-
-@pytest.fixture(scope="module", params=KINDS)
-def kind(request: pytest.FixtureRequest, network: None) -> Kind:
-    return kind_of(request.param)
-
-
-@pytest.fixture(scope="module")
-def images(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    return write_images(tmp_path_factory.mktemp("images"), 3, seed=2)
 
 
 @pytest.fixture
@@ -353,65 +334,3 @@ def test_one_of_two_cameras_dies_and_comes_back_without_disturbing_the_other(
         assert image_index(shoot(main).pixels, images[MAIN]) == 0
         assert [image_index(frame.pixels, images[SUB]) for frame in taken] == [1, 0, 1]
     assert len(other.frames) == 4  # not one more than was asked for
-
-
-# --- one camera's line triggers the other
-
-
-@pytest.fixture
-def wired(kind: Kind, images: list[Path]) -> Iterator[tuple[CameraProcess, CameraProcess]]:
-    main, sub = (
-        kind.process(address, serial, images)
-        for address, serial in zip(ADDRESSES, (MAIN, SUB), strict=True)
-    )
-    main.wire(2, sub, 3)
-    with running(main, sub):
-        yield main, sub
-
-
-@pytest.fixture
-def pair(kind: Kind, wired: tuple[CameraProcess, CameraProcess]) -> Iterator[SynchronizedPair]:
-    cameras = (
-        kind.make(MAIN, settings(line_out=LineOut("Line2")), "main"),
-        kind.make(SUB, settings(trigger=TriggerIn("Line3")), "sub"),
-    )
-    opened = SynchronizedPair(
-        *cameras,
-        SystemClock(),
-        open_timeout_s=PATIENCE_S,
-        grace_s=PATIENCE_S,
-        main_triggers_sub=True,
-    )
-    with closing(opened):
-        yield opened
-
-
-def test_the_main_camera_triggers_the_sub_camera_through_a_wire(
-    pair: SynchronizedPair,
-    wired: tuple[CameraProcess, CameraProcess],
-    images: list[Path],
-) -> None:
-    """One frame each a slot, the same scene; and no skew is claimed that nobody measured."""
-    for n in range(3):
-        taken = pair.capture(SystemClock().now_utc())
-        shown = [image_index(frame.pixels, images) for frame in (taken.main, taken.sub)]
-        assert shown == [n, n]
-        assert taken.skew_s is None
-    assert [len(camera.frames) for camera in wired] == [3, 3]
-
-
-def test_a_broken_wire_is_named_and_no_frame_is_taken_for_another(
-    pair: SynchronizedPair,
-    wired: tuple[CameraProcess, CameraProcess],
-    images: list[Path],
-) -> None:
-    main, sub = wired
-    pair.capture(SystemClock().now_utc())
-    main.wire(2, sub, 0)  # a line nobody listens to
-    with pytest.raises(FrameTimeoutError, match=f"camera {SUB}: .*check the wire .* Line3") as lost:
-        pair.capture(SystemClock().now_utc())
-    assert lost.value.role == "sub"
-    main.wire(2, sub, 3)
-    taken = pair.capture(SystemClock().now_utc())
-    assert image_index(taken.main.pixels, images) == 2
-    assert image_index(taken.sub.pixels, images) == 1  # its second frame: the edge it missed
