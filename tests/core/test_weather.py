@@ -11,6 +11,7 @@ from core.results import Flag
 from drivers.sim.settings import Scenario
 from tests.core.scenes import MINUTE
 from tests.core.sessions import Session
+from tests.exhaustive import one_of
 
 ROWS = 6
 CASES = (
@@ -24,15 +25,16 @@ def test_no_wrong_value_is_called_good(usual: Session, case: str):
     kind, _, role = case.partition(" ")
     there = usual.with_world(Scenario(kind, role=role or None))
     start = there.world.settings.start_utc
-    for k in range(ROWS):
+    for k in range(0, ROWS, one_of(2)):
         row = there.row(start + (30 + 41 * k) * MINUTE)
         if row.measurement.flag is Flag.GOOD:
             assert np.abs(row.error_mm / row.sigma_mm).max() < 5.0
 
 
-@pytest.mark.parametrize("line_error_um", [0.0, 10.0, 60.0])
+@pytest.mark.parametrize("line_error_um", [1.0, 4.0, 10.0, 60.0])
 def test_clear_rows_are_good_on_good_and_poor_prints(
     printed: Callable[[float], Session], line_error_um: float
 ):
-    rows = printed(line_error_um).rows(12, every_min=47.0)
+    """Nor is the calibrated board taken for another of the same drawing."""
+    rows = printed(line_error_um).rows(12, every_min=97.0)
     assert [row.measurement.reasons for row in rows] == [()] * 12

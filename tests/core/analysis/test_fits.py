@@ -16,9 +16,11 @@ from core.analysis.regression import by_blocks, daily, yearly
 from core.analysis.steps import find_steps, recent_drift
 from core.analysis.thermal import temperature_response
 from core.analysis.trend import difference, trend_of
+from tests.exhaustive import one_of
 
-SERIES = 20
-"""Of which a 95 % interval misses more than three once in 60 runs of other numbers."""
+SERIES = 20 // one_of(2)
+MISSES = 2 if SERIES == 10 else 3
+"""More of them a 95 % interval misses once in 60 runs of other numbers; of ten, once in 87."""
 
 
 def hours_with_gaps(rng: np.random.Generator, days: float) -> np.ndarray:
@@ -169,7 +171,7 @@ def test_what_stretches_differ_by_is_the_error_whatever_the_noise() -> None:
         assert found is not None
         assert found.sigma > 3.0 * np.sqrt(white.covariance[0, 0])
         within += found.low <= 0.0 <= found.high
-    assert within >= SERIES - 3
+    assert within >= SERIES - MISSES
     few = days < 10.0
     short = gls(Whitening(days[few], np.ones(1), np.ones(1)), design[few], days[few])
     assert by_blocks(days[few], design[few], short, np.ones(1), 0.95) is None
@@ -203,7 +205,7 @@ def test_a_trend_of_two_years_lies_in_its_interval() -> None:
         assert found.seasonal
         assert found.mm_per_year.sigma < 0.25
         inside += found.mm_per_year.low <= truth <= found.mm_per_year.high
-    assert inside >= SERIES - 3
+    assert inside >= SERIES - MISSES
 
 
 def test_a_step_is_found_a_day_after_it_with_its_size_and_time() -> None:
@@ -265,7 +267,7 @@ def test_the_level_after_an_event_less_that_before_lies_in_its_interval() -> Non
         truth = float(moved_mm[after].mean() - moved_mm[~after].mean())
         assert found.mm.sigma < 0.1
         inside += found.mm.low <= truth <= found.mm.high
-    assert inside >= SERIES - 3
+    assert inside >= SERIES - MISSES
     with pytest.raises(ValueError, match="before or after"):
         difference(times_s, values_mm, BEGIN_S)
 

@@ -27,11 +27,6 @@ def sub_image(lab: Session, minute: int) -> GreyImage:
     return grey(lab.world, "sub", lab.world.settings.start_utc + minute * MINUTE)
 
 
-def test_the_calibrated_board_is_not_taken_for_another(lab):
-    rows = lab.rows(15, every_min=97.0)
-    assert all(Reason.SUB_TARGET_CHANGED not in row.measurement.reasons for row in rows)
-
-
 @pytest.mark.parametrize("squares", [(2, 0), (0, 2), (1, 1), (-2, 4)])
 def test_corners_named_a_period_off_lack_the_calibrated_print_errors(lab, squares):
     calibrated = lab.calibration.calibrated

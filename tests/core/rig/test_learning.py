@@ -7,6 +7,7 @@ import pytest
 
 from core.arrays import FloatArray
 from core.rig.learning import RigFit, TargetHours, fit_rig, low_passed
+from tests.exhaustive import one_of
 
 NEAR_MM, FAR_MM = 11_000.0, 22_000.0
 C_URAD_PER_K = np.array([1.8, -0.9])
@@ -61,7 +62,7 @@ def misses(fit: RigFit) -> FloatArray:
 
 
 def test_coefficients_and_creep_are_found_and_their_sigmas_are_true() -> None:
-    fits = [fit_rig(hours(seed)) for seed in range(12)]
+    fits = [fit_rig(hours(seed)) for seed in range(0, 12, one_of(2))]
     missed = np.concatenate([misses(fit) for fit in fits])
     assert 0.45 < np.mean(np.abs(missed) < 1.0) < 0.9
     assert np.abs(missed).max() < 4.0
