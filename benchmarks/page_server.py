@@ -1,7 +1,8 @@
-"""dcam-web beside a record, as a program of its own."""
+"""dcam-web beside a record, as a program of its own, in the environment of its unit."""
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+UNIT = ROOT / "systemd/dcam-web.service"
 
 
 @contextmanager
@@ -18,15 +20,35 @@ def serving(config: Path, state: Path | None) -> Iterator[str]:
 
     Without a state directory it is that of the config, or all sites of a central database.
     """
+    with running(config, state) as (_, url):
+        yield url
+
+
+@contextmanager
+def running(config: Path, state: Path | None) -> Iterator[tuple[int, str]]:
+    """As `serving`; gives the number of its process, too."""
     command = [sys.executable, "-m", "daemon.web_main", "--port", "0"]
     where = ["--config", str(config), *([] if state is None else ["--state", str(state)])]
+    env = {**os.environ, **_said_by_unit()}
     with subprocess.Popen(
-        [*command, *where], cwd=ROOT, stderr=subprocess.PIPE, text=True
+        [*command, *where], cwd=ROOT, env=env, stderr=subprocess.PIPE, text=True
     ) as process:
         try:
-            yield _address(process)
+            yield process.pid, _address(process)
         finally:
             process.terminate()
+
+
+def _said_by_unit() -> dict[str, str]:
+    """What changes how Python runs."""
+    return dict(re.findall(r"^Environment=(PYTHON\w+)=(\S+)$", UNIT.read_text(), re.MULTILINE))
+
+
+def rss_mb(process: int) -> float:
+    """Memory of a process, files that it shares with others among it, MB."""
+    text = Path(f"/proc/{process}/status").read_text(encoding="utf-8")
+    found = re.search(r"VmRSS:\s+(\d+)", text)
+    return int(found[1]) / 1024 if found else 0.0
 
 
 def _address(process: subprocess.Popen[str]) -> str:

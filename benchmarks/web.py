@@ -8,18 +8,17 @@ beside a dcamd or without one: `dcam-ctl gaps` says afterwards whether a slot wa
 from __future__ import annotations
 
 import asyncio
-import re
 import socket
-import subprocess
 import sys
 import time
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from benchmarks.page_server import ROOT
+from benchmarks.page_server import rss_mb, running
 
 READERS = 200
 SECONDS = 60.0
+AT_REST_S = 10.0
 SILENT = 40
 """Of them ask for much and take nothing."""
 QUANTITIES = "y_mm.main,sigma_y_mm.main,raw_y_mm.main,temperature_main_c,temperature_sub_c"
@@ -31,13 +30,6 @@ PATHS = (
     "/api/days",
     "/static/panel.js",
 )
-
-
-def rss_mb(process: int) -> float:
-    """Memory of a process, MB."""
-    text = Path(f"/proc/{process}/status").read_text(encoding="utf-8")
-    found = re.search(r"VmRSS:\s+(\d+)", text)
-    return int(found[1]) / 1024 if found else 0.0
 
 
 async def _read(port: int, number: int, until_s: float, times_s: list[float]) -> None:
@@ -83,23 +75,19 @@ async def _load(port: int, process: int) -> tuple[list[float], float]:
 
 def main() -> None:
     """Measure, and print."""
-    where = ["--config", sys.argv[1], "--state", sys.argv[2], "--port", "0"]
-    command = [sys.executable, "-m", "daemon.web_main", *where]
-    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as page:
-        said = page.stderr.readline() if page.stderr else ""
-        found = re.search(r"http://\S+", said)
-        port = urlsplit(found[0]).port if found else None
-        if port is None:
-            sys.exit(f"dcam-web does not serve: {said}")
-        time.sleep(10.0)
-        rest = rss_mb(page.pid)
-        times_s, highest = asyncio.run(_load(port, page.pid))
+    with running(Path(sys.argv[1]), Path(sys.argv[2])) as (process, url):
+        time.sleep(AT_REST_S)
+        rest = rss_mb(process)
+        times_s, highest = asyncio.run(_load(urlsplit(url).port or 80, process))
+        time.sleep(AT_REST_S)
         times_s.sort()
-        print(f"at rest {rest:.0f} MB, under load at most {highest:.0f} MB")
+        print(
+            f"at rest {rest:.0f} MB, under load at most {highest:.0f} MB,"
+            f" after it {rss_mb(process):.0f} MB"
+        )
         print(
             f"{len(times_s)} answers in {SECONDS:.0f} s, median {times_s[len(times_s) // 2]:.3f} s"
         )
-        page.terminate()
 
 
 if __name__ == "__main__":

@@ -6,14 +6,18 @@ import base64
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from jinja2 import Environment, FileSystemLoader
 from starlette.datastructures import Headers
 from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.types import Scope
 
 from daemon.version import VERSION
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 HERE = Path(__file__).parent
 SITE_PAGES = {
@@ -43,7 +47,8 @@ class Views:
     def html(self, page: str, status: int = 200, **context: object) -> HTMLResponse:
         """A page."""
         pages = SITE_PAGES if self.pages is None else self.pages
-        text = _TEMPLATES.get_template(f"{page}.html").render(
+        template = _templates().get_template(f"{page}.html")
+        text = template.render(
             page=page,
             site=self.site,
             t=self.texts,
@@ -73,9 +78,15 @@ _ICON = (
     + base64.b64encode((HERE / "templates/icon.svg").read_bytes()).decode()
 )  # as a file a browser asks for it again at each change of the address
 
-_TEMPLATES = Environment(
-    loader=FileSystemLoader(HERE / "templates"), autoescape=True, auto_reload=False
-)
+
+@cache
+def _templates() -> Environment:
+    """All templates; loaded with the first page that somebody opens, as they take 2 MB."""
+    from jinja2 import Environment, FileSystemLoader
+
+    return Environment(
+        loader=FileSystemLoader(HERE / "templates"), autoescape=True, auto_reload=False
+    )
 
 
 def texts_of(language: str) -> dict[str, str]:

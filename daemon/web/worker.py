@@ -83,13 +83,12 @@ class Worker:
 
     async def _running(self) -> asyncio.subprocess.Process:
         if self._process is None or self._process.returncode is not None:
-            cache = loop_cache()
             self._process = await asyncio.create_subprocess_exec(
                 *self._command,
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 limit=_LONGEST_ANSWER,
-                env={**os.environ, **({"NUMBA_CACHE_DIR": cache} if cache else {})},
+                env=_environment(),
             )
         return self._process
 
@@ -114,3 +113,10 @@ class Worker:
         self._kill()
         if process is not None:
             await process.wait()
+
+
+def _environment() -> dict[str, str]:
+    """This process's own, with docstrings: numerical libraries may work by them."""
+    cache = loop_cache()
+    named = {"NUMBA_CACHE_DIR": cache} if cache else {}
+    return {name: said for name, said in os.environ.items() if name != "PYTHONOPTIMIZE"} | named

@@ -89,6 +89,14 @@ def test_nothing_installed_names_the_place_it_was_made_in(installed: Path) -> No
     assert named == []
 
 
+def test_byte_code_is_there_for_programs_with_docstrings_and_for_the_page_without(
+    installed: Path,
+) -> None:
+    (made,) = (installed / "opt/dcam").glob("*/lib/python*/site-packages/daemon/__pycache__")
+    kinds = {path.name.partition(".cpython-")[2][2:] for path in made.glob("web_main.*")}
+    assert {kind.partition(".")[2] for kind in kinds} == {"pyc", "opt-2.pyc"}
+
+
 def test_first_config_is_refused_until_it_is_the_sites_own(
     installed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -14,13 +15,55 @@ from urllib.parse import urlsplit
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, Playwright, expect
 
+from benchmarks.page_record import MINUTE
+from daemon.times import slot_text
+
 CHROMIUM = Path("/usr/bin/chromium")
 PATIENCE_MS = 300_000
 """Far longer than anything takes on a busy machine: only a failure takes so long."""
 AXE = Path(__file__).parents[3] / "node_modules/axe-core/axe.min.js"
 GRAVE = {"serious", "critical"}
+WIDE = {"viewport": {"width": 1280, "height": 900}, "color_scheme": "light"}
+PHONE = {
+    "viewport": {"width": 390, "height": 844},
+    "color_scheme": "dark",
+    "has_touch": True,
+    "is_mobile": True,
+}
+
+LINE_PLACES = """
+panel => {
+  const canvas = panel.querySelector("canvas"), over = panel.querySelector(".over");
+  const [a, b] = [canvas.getBoundingClientRect(), over.getBoundingClientRect()];
+  const wanted = getComputedStyle(document.documentElement).getPropertyValue("--line-0").trim();
+  const rgb = [1, 3, 5].map(k => parseInt(wanted.slice(k, k + 2), 16));
+  const scale = canvas.width / a.width;
+  const [width, height] = [Math.round(b.width * scale), Math.round(b.height * scale)];
+  const { data } = canvas.getContext("2d").getImageData(
+    Math.round((b.left - a.left) * scale), Math.round((b.top - a.top) * scale), width, height);
+  const places = [];
+  for (let y = 0; y < height; y++) for (let x = 0; x < width; x++) {
+    const at = 4 * (y * width + x);
+    if (rgb.every((value, k) => Math.abs(data[at + k] - value) < 60) && data[at + 3] > 120)
+      places.push([x / scale, y / scale]);
+  }
+  return places;
+}
+"""
+"""Where the first line of a figure was drawn: px from the top left of its axes, from the top."""
 
 expect.set_options(timeout=PATIENCE_MS)
+
+
+def around(moment: datetime, minutes: int) -> tuple[str, str]:
+    """So many minutes to each side."""
+    half = minutes * MINUTE
+    return slot_text(moment - half), slot_text(moment + half)
+
+
+def seconds(span: tuple[str, str]) -> float:
+    since, until = (datetime.fromisoformat(text) for text in span)
+    return (until - since).total_seconds()
 
 
 def start_chromium(playwright: Playwright) -> Browser:

@@ -10,12 +10,13 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, sync_playwright
 
-from benchmarks.page_record import PageRecord, write_record
+from benchmarks.page_record import FIRST, MINUTE, PageRecord, write_record
 from benchmarks.page_server import ROOT, serving
 from daemon.config.reading import load_config
 from daemon.store.database import open_store
 from daemon.store.ledger.entries import LedgerEntry, LedgerKind
-from tests.daemon.web.browsing import start_chromium
+from daemon.times import slot_text
+from tests.daemon.web.browsing import WIDE, Visit, start_chromium, visiting
 
 SLOTS = 20_000
 """More than a figure has pixels, so that buckets are drawn."""
@@ -39,6 +40,10 @@ class Served:
     record: PageRecord
 
 
+def whole(served: Served) -> tuple[str, str]:
+    return slot_text(FIRST), slot_text(served.record.last + MINUTE)
+
+
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
     with sync_playwright() as playwright:
@@ -60,3 +65,10 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         store.add_ledger_entry(painted)
     with serving(config, directory / "state") as url:
         yield Served(url, record)
+
+
+@pytest.fixture
+def visit(browser: Browser, served: Served) -> Iterator[Visit]:
+    with visiting(browser, served.url, has_touch=True, **WIDE) as visit:
+        yield visit
+        assert visit.complaints == []
