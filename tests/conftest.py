@@ -42,10 +42,14 @@ LONGEST_FIRST = (
     *("drivers/genicam", "system", "faults", "drivers/heads/test_head_programs.py"),
     *("daemon/slots/test_dcamd.py", "daemon/commands/test_calibrate", "daemon/commands"),
     *("docs", "core/calibration", "core/analysis", "daemon/store", "daemon/slots", "daemon"),
-    *("studies", "drivers/test_camera_contract.py", "drivers/heads", "drivers/sim", "core"),
+    *("studies", "drivers/test_camera_contract.py", "drivers/heads", "drivers/sim"),
+    *("test_house.py", "core/test_", "core/quality", "core/lens", "core"),
 )
 """Files that take long, by the beginnings of their names: no process is left alone with one."""
-WAITING = ("drivers", "faults", "soak", "system", "daemon/readings", "daemon/slots", "daemon/web")
+WAITING = (
+    *("daemon/readings", "daemon/slots", "daemon/web", "drivers/genicam", "drivers/heads"),
+    *("drivers/sensors", "drivers/test_camera_contract.py", "faults", "soak", "system"),
+)
 """Whose tests wait half of their time: for a slot, a camera, a browser."""
 
 

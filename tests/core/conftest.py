@@ -65,9 +65,9 @@ def paper(lab: Session) -> Session:
 
 
 @pytest.fixture(scope="session")
-def usual(shared_session: MakeSession) -> Session:
+def usual(printed: Callable[[float], Session]) -> Session:
     """The laboratory with eight lens views and ten head positions, enough to measure well."""
-    return shared_session("usual", 11000.0, SimSettings(seed=3), 8, 10)
+    return printed(Print().line_error_um)
 
 
 @pytest.fixture(scope="session")

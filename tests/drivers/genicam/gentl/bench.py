@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.drivers.genicam.building import built
+
 SOURCE = Path(__file__).with_name("producer.c")
 GS3_XML = Path(__file__).parents[1] / "gige/gs3.xml"
 INCLUDES = Path("/usr/include/aravis-0.8")
@@ -33,13 +35,8 @@ def producer(habit: str | None = None) -> Path:
         text=True,
         check=True,
     ).stdout.split()
-    built = Path(tempfile.mkdtemp(prefix="dcam-gentl-")) / "producer.cti"
-    options = ["-O1", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-Wl,-z,nodelete"]
-    options += [f"-D{habit}"] if habit else []
-    subprocess.run(
-        ["gcc", *options, SOURCE, "-o", built, "-I", INCLUDES, *glib, "-laravis-0.8"], check=True
-    )
-    return built
+    options = ["-Wl,-z,nodelete", "-I", str(INCLUDES), *glib, "-laravis-0.8"]
+    return built(SOURCE, "producer.cti", [f"-D{habit}", *options] if habit else options)
 
 
 @functools.cache
@@ -60,10 +57,10 @@ def faulty(folder: Path, *, crashes: bool) -> Path:
     """Build a producer that hangs, or crashes, in its first call."""
     if shutil.which("gcc") is None:
         pytest.skip("GenTL producer: no gcc; apt-get install gcc")
-    built = folder / "faulty.cti"
+    library = folder / "faulty.cti"
     options = ["-shared", "-fPIC", *(["-DCRASHES"] if crashes else [])]
-    subprocess.run(["gcc", *options, SOURCE.with_name("faulty.c"), "-o", built], check=True)
-    return built
+    subprocess.run(["gcc", *options, SOURCE.with_name("faulty.c"), "-o", library], check=True)
+    return library
 
 
 def viky() -> Path:

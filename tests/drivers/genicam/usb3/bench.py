@@ -5,10 +5,8 @@ from __future__ import annotations
 import atexit
 import ctypes
 import functools
-import hashlib
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -19,6 +17,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.drivers.genicam.building import built
 from tests.drivers.genicam.gige.process import CameraProcess
 
 SOURCE = Path(__file__).with_name("libusb.c")
@@ -38,16 +37,7 @@ def library() -> Path:
     if shutil.which("gcc") is None or not HEADER.is_file():
         msg = "no gcc or no libusb.h; apt-get install gcc libc6-dev libusb-1.0-0-dev"
         raise NoBusError(msg)
-    digest = hashlib.sha256(SOURCE.read_bytes()).hexdigest()[:16]
-    folder = Path(tempfile.gettempdir()) / f"dcam-usb3-{os.getuid()}-{digest}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    built = folder / NAME
-    if not built.exists():
-        part = folder / f"{os.getpid()}.part"
-        options = ["-O1", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", f"-Wl,-soname,{NAME}"]
-        subprocess.run(["gcc", *options, SOURCE, "-o", part, "-lpthread"], check=True)
-        part.replace(built)  # whoever builds it at the same time builds the same
-    return built
+    return built(SOURCE, NAME, [f"-Wl,-soname,{NAME}", "-lpthread"])
 
 
 @functools.cache
