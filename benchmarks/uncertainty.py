@@ -1,7 +1,7 @@
 """The budget of rows against a Monte Carlo of the model: `python -m benchmarks.uncertainty`.
 
-Sites without images, as `benchmarks.sites` makes them: two at 11 m, two at 22 m, and of each a row
-of the day of the calibration and one that is a month and 10 K older.
+Sites without images, as `benchmarks.made_sites` makes them: two at 11 m, two at 22 m, and of each a
+row of the day of the calibration and one that is a month and 10 K older.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 
-from benchmarks.sites import Case, NumbersSite, make_numbers
+from benchmarks.made_sites import Case, NumbersSite, make_numbers
 from core.analysis.budget import Budget, RowState
 from core.analysis.monte_carlo import monte_carlo
 from core.analysis.row_budget import row_budget

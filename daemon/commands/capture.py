@@ -129,7 +129,7 @@ def say_look(look: dict[str, Any]) -> None:
 
 
 def _value(row: dict[str, Any]) -> str:
-    """A displacement, or why there is none, in a few words; as `daemon.text.value_text`."""
+    """A displacement, or why there is none, in a few words; as `daemon.value_text`."""
     why, flag = "+".join(row["reasons"]), Flag(row["flag"])
     if row["x_mm"] is None:
         return f"no value ({flag.name.lower()}: {why})"

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.sites import Case, Figures, figures, make_numbers, measured, quiet_pairs
+from benchmarks.made_sites import Case, make_numbers, quiet_pairs
+from benchmarks.sites import Figures, figures, measured
 from tests.exhaustive import one_of
 
 SITES = 10

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from benchmarks import sites
+from benchmarks import made_sites
+from benchmarks.sites import Row, measured
 from core.arrays import FloatArray
 from core.calibration.views import ViewRole
 from core.planning.planned_site import CalibrationPlan, ImageQuality, PlannedSite
@@ -23,22 +24,24 @@ from core.site import QualityLimits
 from tests.exhaustive import one_of
 
 SITES = 5
-QUALITY = ImageQuality(sites.CONTRAST_DN, sites.NOISE_DN, sites.BLUR_PX, fit_loss=1.0)
+QUALITY = ImageQuality(
+    made_sites.CONTRAST_DN, made_sites.NOISE_DN, made_sites.BLUR_PX, fit_loss=1.0
+)
 """As the simulated sites see."""
 DRIFT = QualityLimits(expected_drift_mrad=1.6, expected_drift_mm=2.4)
 """As far as the simulated sites drift."""
 
 
-def drawn(case: sites.Case, seed: int) -> tuple[PlannedSite, CalibrationPlan]:
+def drawn(case: made_sites.Case, seed: int) -> tuple[PlannedSite, CalibrationPlan]:
     """A simulated site as drawn, and its calibration."""
-    site = replace(sites.make_site(case, seed)[0], quality=DRIFT)
-    taken = list(sites.shots(case, site, seed))
+    site = replace(made_sites.make_site(case, seed)[0], quality=DRIFT)
+    taken = list(made_sites.shots(case, site, seed))
     positions = tuple(shot.head_deg for shot in taken if shot.role is ViewRole.RIG)
     lens_views = sum(shot.role is ViewRole.INTRINSICS for shot in taken)
     return PlannedSite(site, QUALITY), CalibrationPlan(lens_views, positions)
 
 
-def stated_mm(rows: Sequence[sites.Row]) -> FloatArray:
+def stated_mm(rows: Sequence[Row]) -> FloatArray:
     """(2,) rms of the sigmas that rows carry."""
     return np.sqrt(np.mean([np.diag(row.covariance_mm2) for row in rows], axis=0))
 
@@ -49,26 +52,26 @@ class Compared:
 
     predicted_mm: FloatArray
     """(2,) of x and y for the rig anywhere within the drift."""
-    rows: tuple[sites.Row, ...]
+    rows: tuple[Row, ...]
     predicted_quiet_mm: FloatArray
-    quiet_rows: tuple[sites.Row, ...]
+    quiet_rows: tuple[Row, ...]
 
 
 @pytest.fixture(scope="module", params=["lab", "field"])
 def compared(request: pytest.FixtureRequest) -> list[Compared]:
     """Some sites."""
-    case, found = sites.Case(request.param, shrink=4.0), []
+    case, found = made_sites.Case(request.param, shrink=4.0), []
     for seed in range(1, SITES + 1, one_of(2)):
         planned, calibration_plan = drawn(case, seed)
         calibrated = predict_calibration(planned, calibration_plan)
         rows, posterior = drift_rows(planned, calibrated), calibrated.posterior
-        made = sites.make_numbers(case, seed)
+        made = made_sites.make_numbers(case, seed)
         found.append(
             Compared(
                 predict_accuracy(rows, posterior, FrameNoise()).drifted_mm,
-                sites.measured(made, made.pairs, quiet=False),
+                measured(made, made.pairs, quiet=False),
                 predict_accuracy(rows, posterior, FrameNoise(0.0, 0.0)).drifted_mm,
-                sites.measured(made, sites.quiet_pairs(made, case), quiet=True),
+                measured(made, made_sites.quiet_pairs(made, case), quiet=True),
             )
         )
     return found
@@ -93,7 +96,7 @@ def test_calibrations_know_as_much_as_predicted(compared: list[Compared]) -> Non
 
 def test_a_cause_taken_away_leaves_what_was_said() -> None:
     """What is predicted without a cause is predicted of a site that has it not."""
-    planned, calibration_plan = drawn(sites.Case("field", shrink=4.0), 1)
+    planned, calibration_plan = drawn(made_sites.Case("field", shrink=4.0), 1)
     calibrated = predict_calibration(planned, calibration_plan)
     rows = drift_rows(planned, calibrated)
     now = predict_accuracy(rows, calibrated.posterior).typical_mm

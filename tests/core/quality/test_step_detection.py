@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks import slip as bridges
-from benchmarks.slip import BRIDGES, Simulate, row_chances
+from benchmarks import slip_bridges as bridges
+from benchmarks.slip import power, row_chances, short_set_chances
+from benchmarks.slip_bridges import BRIDGES, Simulate
 from core.arrays import FloatArray
 from core.quality.opposed_steps import (
     BLOCK_ROWS,
@@ -124,7 +125,7 @@ def test_the_chance_of_a_step_is_no_smaller_than_it_says(rows: int):
 @pytest.mark.parametrize("rows", [3, 6, 10])
 def test_short_sets_raise_no_false_alarm(rows: int):
     """Rig and bridge walk at random, tails of Student's t of 3."""
-    chances = bridges.short_set_chances(rows, 50_000, seed=3)
+    chances = short_set_chances(rows, 50_000, seed=3)
     assert chances.min() > 1.0 / ROWS_A_FALSE_ALARM
     assert (chances <= 1e-3).sum() <= 50
 
@@ -170,7 +171,7 @@ def test_rows_at_random_are_never_taken_for_a_slip():
 def test_a_slip_that_is_large_for_its_bridge_is_seen(
     simulate: Simulate, slip_mm: float, at_once: float, later: float
 ):
-    shares = bridges.power(simulate, slip_mm, USUAL_ROWS, seed=5, trials=25)
+    shares = power(simulate, slip_mm, USUAL_ROWS, seed=5, trials=25)
     assert shares[0] >= at_once
     assert shares[1] >= later
 
