@@ -31,7 +31,7 @@ import pytest
 from tests.waiting import PATIENCE_S, wait_for
 
 ROOT = Path(__file__).parents[1]
-PRELOADED = ["tests.loaded"]
+PRELOADED = ["tests.loaded", "tests.programs"]
 """What a process has loaded that programs are forked from."""
 
 Stream = Path | Connection | int | None
@@ -140,6 +140,22 @@ def ran(
         return subprocess.CompletedProcess(
             program.args, code, stdout.read_text(), stderr.read_text()
         )
+
+
+class Forked:
+    """Stands in for `subprocess` in what starts our programs as `python -m MODULE ARGUMENTS`."""
+
+    PIPE = PIPE
+
+    @staticmethod
+    def Popen(command: Sequence[object], **options: object) -> Program:
+        _python, _m, module, *arguments = command
+        return Program(str(module), *arguments, stderr=PIPE if "stderr" in options else None)
+
+    @staticmethod
+    def run(command: Sequence[object], **_: object) -> subprocess.CompletedProcess[str]:
+        _python, _m, module, *arguments = command
+        return ran(str(module), *arguments)
 
 
 def traced(options: Sequence[str], module: str, *arguments: object, stderr: Stream = None) -> int:

@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks import soak
 from benchmarks.soak_history import History
+from tests.programs import Forked
 
 HISTORY = History.of(2, 1.25, bright_days=0.6)
 """Each camera is lost once and somebody calibrates once before the power fails."""
@@ -15,6 +16,7 @@ MEASURE_EVERY = 60
 
 def test_two_days_with_a_power_failure(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each slot with power and cameras has its row, each other one its gap with the cause."""
+    monkeypatch.setattr(soak, "subprocess", Forked)
     monkeypatch.setattr(soak, "STATUS_RUNS", 1)  # a figure of the benchmark
     memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as directory:

@@ -53,7 +53,7 @@ start_utc = 2026-03-01T00:00:00Z
 
 
 SIMULATED = simulated(CONFIG)
-SMALL = simulated(laboratory(320, square_mm=4.0))
+SMALL = simulated(laboratory(320, square_mm=6.0))
 """On half as many pixels a side, for what does not depend on how well a row is known."""
 
 PLAN = FrameSetPlan(intrinsics=8, rig=12, measure=4)

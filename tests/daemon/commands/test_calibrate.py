@@ -6,9 +6,8 @@ import json
 import os
 import shutil
 import sqlite3
-import subprocess
-import sys
 from contextlib import closing
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import cv2
@@ -22,6 +21,7 @@ from drivers.sim.settings import SimSettings
 from drivers.sim.world import World
 from tests.daemon.commands.conftest import CONFIG, SEED, SMALL, Ctl, edit_table
 from tests.daemon.commands.terminals import all_of, program, started_on, terminal
+from tests.programs import Program
 
 
 def calibrate(ctl: Ctl, bench: Path, state: Path, frames: Path, *more: str):
@@ -325,19 +325,14 @@ def test_a_reader_that_goes_away_does_not_cost_the_calibration(
     """`calibrate | head -1`: stdout is closed before the first line of the report."""
     reading, writing = os.pipe()
     os.close(reading)
-    command = [
-        *(sys.executable, "-u", "-m", "daemon.ctl", "--config", bench / "dcam.toml"),
-        *("--state", tmp_path / "state", "calibrate", "--from", brief),
-    ]
-    with os.fdopen(writing, "w") as nobody:
-        subprocess.run(
-            command,
-            cwd=Path(__file__).parents[3],
-            stdin=subprocess.DEVNULL,
-            stdout=nobody,
-            stderr=subprocess.DEVNULL,
-            check=False,
-        )
+    script = tmp_path / "at_once.py"
+    script.write_text(
+        "import sys; sys.stdout.reconfigure(write_through=True)\n"
+        "from daemon.ctl import main; main()\n"
+    )
+    words = ("--config", bench / "dcam.toml", "--state", tmp_path / "state")
+    with Program(script, *words, "calibrate", "--from", brief, stdout=Connection(writing)):
+        pass
     with open_store_readonly(tmp_path / "state") as store:
         assert store.active_calibration() is not None
 

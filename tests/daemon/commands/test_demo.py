@@ -20,6 +20,7 @@ from daemon.reports.figure import GapSpan, draw
 from daemon.reports.series import series_of
 from daemon.store.integrity.checksum import row_digest
 from tests.daemon.commands.conftest import Ctl
+from tests.programs import Forked
 
 PNG = b"\x89PNG\r\n\x1a\n"
 SMALLER = (
@@ -42,6 +43,7 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     site = tmp_path / "small.toml"
     site.write_text(text)
     monkeypatch.setattr(demo, "SITE", site)
+    monkeypatch.setattr(demo, "subprocess", Forked)
     monkeypatch.setattr(demo, "SLOTS", 24)
     monkeypatch.setattr(demo_season, "ROWS", 8)
     return tmp_path / "demo"
