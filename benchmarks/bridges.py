@@ -141,11 +141,18 @@ OTHER_CREEP = ("mc2010", "mixture")
 """What none of the laws that are fitted follows exactly."""
 
 
-def make_creep(law: str, seed: int, days: int = 90) -> tuple[FloatArray, FloatArray, float]:
+CREEP_NOISES = ("days", "white", "tails", "weeks")
+"""Noise that remembers 1 to 5 days; that remembers nothing; of heavy tails beside a day's memory;
+that remembers 3 to 10 days, with a season that nothing explains. The last two have gaps of days."""
+
+
+def make_creep(
+    law: str, seed: int, noise: str = "days", days: int = 90
+) -> tuple[FloatArray, FloatArray, float]:
     """Times (n,) and hourly values (n,) since loading at BEGIN_S, and the true level on day 365.
 
-    `law` is one of `CREEP_LAWS` or `OTHER_CREEP`. Shapes are drawn evenly within the laws' usual
-    bounds, 3 to 15 mm of creep, noise of days.
+    `law` is one of `CREEP_LAWS` or `OTHER_CREEP`, `noise` one of `CREEP_NOISES`. Shapes are drawn
+    evenly within the laws' usual bounds, 3 to 15 mm of creep.
     """
     rng = np.random.default_rng(seed)
     hours = np.arange(366 * 24) / 24.0
@@ -153,10 +160,29 @@ def make_creep(law: str, seed: int, days: int = 90) -> tuple[FloatArray, FloatAr
     course *= rng.uniform(3.0, 15.0) * rng.choice([-1.0, 1.0]) / course[days * 24]
     course += 5.0 * rng.normal()
     n = days * 24
-    values = course[:n] + 0.02 * rng.normal(size=n) + remembering(rng, n, 0.03, 2.0)
-    values += remembering(rng, n, rng.uniform(0.02, 0.1), 24.0 * rng.uniform(1.0, 5.0))
+    values = course[:n] + _creep_noise(noise, rng, n)
     keep = rng.random(n) > 0.1
+    if noise in {"tails", "weeks"}:
+        for begin in rng.integers(24, n, rng.poisson(3)):
+            keep[begin : begin + int(24.0 * rng.exponential(3.0))] = False
     return BEGIN_S + hours[:n][keep] * DAY_S, values[keep], float(course[365 * 24])
+
+
+def _creep_noise(noise: str, rng: np.random.Generator, n: int) -> FloatArray:
+    """(n,) of hours."""
+    match noise:
+        case "white":
+            return rng.uniform(0.02, 0.2) * rng.normal(size=n)
+        case "tails":
+            return 0.03 * rng.standard_t(3, size=n) + remembering(rng, n, 0.1, 24.0)
+        case "weeks":
+            found = 0.05 * rng.normal(size=n)
+            found += remembering(rng, n, rng.uniform(0.05, 0.2), 24.0 * rng.uniform(3.0, 10.0))
+            season = np.sin(2.0 * np.pi * (np.arange(n) / 24.0 / 365.25 - rng.random()))
+            return found + rng.uniform(0.02, 0.1) * season
+        case _:
+            found = 0.02 * rng.normal(size=n) + remembering(rng, n, 0.03, 2.0)
+            return found + remembering(rng, n, rng.uniform(0.02, 0.1), 24.0 * rng.uniform(1.0, 5.0))
 
 
 def _course(law: str, rng: np.random.Generator, days: FloatArray) -> FloatArray:

@@ -29,9 +29,12 @@ MEMORIES_DAYS = ((0.1, 2.0), (2.0, 30.0))
 """Bounds of the noise's memories."""
 LEAST_DAYS = 10
 """Days after loading below which no law is fitted. Chosen."""
-DEPARTURES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
-"""Relative errors of the rate of creep (1 sigma), equally likely beforehand: from what a record
-cannot tell from none, to one with which a law hardly says anything."""
+DEPARTURES = (0.0, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
+"""Relative errors of the rate of creep (1 sigma): from none to one with which a law hardly says
+anything."""
+_EXACT = 0.5
+"""Probability beforehand that a law holds exactly; the departures share the rest equally. Even
+odds: neither is a bridge that follows a law an exception, nor one that follows none."""
 _BEGIN_H = 2.0
 """Hours after loading that are left out: there a mean is not the curve at its time."""
 _ROUNDS = 3
@@ -44,6 +47,8 @@ _NOISE_UNLIKELY = 5.0
 """Fall of its log-evidence beyond which a noise is left out."""
 _MIDDLING = (0.01, 0.08)
 """Departures beside which noises are judged."""
+_UNLIKELY = 7.0
+"""Fall of the log-evidence beyond which a law with a departure is not tried with other noises."""
 _FORGOTTEN = 1e-5
 """Share of the best combination's probability below which one is left out."""
 
@@ -64,7 +69,7 @@ class LawFit:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """The level at a time since loading, temperature at its mean."""
+    """The level at a time since loading, temperature at its mean over the hours since loading."""
 
     days: float
     mm: Interval
@@ -99,25 +104,30 @@ def fit_creep(
 
     Values before `loaded_s` are not used. Raises ValueError for too few days.
     """
-    days, level_mm, design = _reduced(times_s, values_mm, loaded_s, beside)
-    record = Record(days, level_mm, design, np.array(at_days, dtype=np.float64))
-    best = curves(Law.LOGARITHMIC, days, np.ones(1))
+    record = _reduced(times_s, values_mm, loaded_s, np.array(at_days, dtype=np.float64), beside)
+    days, lines = record.days, record.design
+    best = curves(Law.LOGARITHMIC, days, np.ones((1, 1)))[0]
     start = None
     for _ in range(_ROUNDS):
-        fit = fit_noise(days, np.column_stack([design, best]), level_mm, MEMORIES_DAYS, start)
+        fit = fit_noise(
+            days,
+            np.column_stack([lines, best]),
+            record.level_mm,
+            MEMORIES_DAYS,
+            start,
+            record.weights,
+        )
         start = fit.start
-        weights = Weights.of(record, _covariance(days, fit.noise))
+        weights = Weights.of(record, _covariance(record, fit.noise))
         exact = {law: closed_in(law, weights)[1] for law in Law}
         law = max(exact, key=lambda law: float(exact[law].log_likelihood.max()))
-        best = curves(law, days, exact[law].best_shape)
+        best = curves(law, days, exact[law].best_shape[None])[0]
     noises = _likely_noises(record, fit.noise, exact[law])
-    laws = {law: _departing(law, exact[law], record, noises) for law in Law}
-    blocks = [block for found in laws.values() for block in found]
+    blocks = _departing(exact, record, noises)
     total = logsumexp(np.concatenate([block.log_evidence for block in blocks]))
-    shares = {
-        law: float(sum(np.exp(block.log_evidence - total).sum() for block in found))
-        for law, found in laws.items()
-    }
+    shares = dict.fromkeys(Law, 0.0)
+    for block in blocks:
+        shares[block.law] += float(np.exp(block.log_evidence - total).sum())
     fits = [_law_fit(law, exact[law], shares[law], record) for law in Law]
     return Creep(
         tuple(sorted(fits, key=lambda one: -one.probability)),
@@ -129,9 +139,13 @@ def fit_creep(
 
 
 def _reduced(
-    times_s: FloatArray, values_mm: FloatArray, loaded_s: float, beside: FloatArray | None
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Days since loading, means, and the design beside the law: constant, day, columns.
+    times_s: FloatArray,
+    values_mm: FloatArray,
+    loaded_s: float,
+    at_days: FloatArray,
+    beside: FloatArray | None,
+) -> Record:
+    """Means since loading, and the design beside the law: constant, day, columns.
 
     Of hours, quarters of days, then days: never long against the time since loading.
     """
@@ -155,15 +169,18 @@ def _reduced(
         raise ValueError(msg)
     days = (means[0].mean[filled] - loaded_s) / DAY_S
     further = daily(times_s) if beside is None else np.column_stack([daily(times_s), beside[since]])
+    further = further - further.mean(axis=0)  # of hours: the first days have more of the means
     columns = np.array([bins_of(times_s, column, edges_s).mean[filled] for column in further.T]).T
-    design = np.column_stack([np.ones(len(days)), columns - columns.mean(axis=0)])
-    return days, means[1].mean[filled], independent(design)
+    design = np.column_stack([np.ones(len(days)), columns])
+    count = means[1].count[filled]
+    weights = count / np.median(count)
+    return Record(days, means[1].mean[filled], independent(design), at_days, weights)
 
 
-def _covariance(days: FloatArray, noise: Noise) -> FloatArray:
+def _covariance(record: Record, noise: Noise) -> FloatArray:
     """(n, n) in mm2."""
-    apart = np.abs(np.subtract.outer(days, days))
-    found = noise.white_mm**2 * np.eye(len(days))
+    apart = np.abs(np.subtract.outer(record.days, record.days))
+    found = np.diag(noise.white_mm**2 / record.weights)
     for part in noise.parts:
         found += part.sigma_mm**2 * np.exp(-apart / part.memory_days)
     return found
@@ -191,7 +208,7 @@ def _likely_noises(record: Record, noise: Noise, best: Shapes) -> list[FloatArra
     departs = departure(best.course_mm(float(record.days[-1])), record.days, record.at_days)
     shape = best.best_shape[None]
     curve = Curves.of(best.law, shape, record, 0.0)
-    found = [_covariance(record.days, one) for one in _noises(noise)]
+    found = [_covariance(record, one) for one in _noises(noise)]
     logs = (
         np.array(
             [
@@ -208,17 +225,24 @@ def _likely_noises(record: Record, noise: Noise, best: Shapes) -> list[FloatArra
 
 
 def _departing(
-    law: Law, exact: Shapes, record: Record, noises: Sequence[FloatArray]
+    exact: dict[Law, Shapes], record: Record, noises: Sequence[FloatArray]
 ) -> list[Shapes]:
-    """A law with each departure and noise."""
-    departs = departure(exact.course_mm(float(record.days[-1])), record.days, record.at_days)
-    found = []
-    for size in DEPARTURES:
-        near, best = closed_in(law, Weights.of(record, noises[0], departs, size), size)
-        found.append(best)
-        others = (Weights.of(record, other, departs, size) for other in noises[1:])
-        found.extend(weighed(near, weights, size) for weights in others)
-    return found
+    """The laws with each departure and noise; the other noises where the first is likely."""
+    first = []
+    for law, fit in exact.items():
+        departs = departure(fit.course_mm(float(record.days[-1])), record.days, record.at_days)
+        for size in DEPARTURES:
+            beforehand = _EXACT if size == 0.0 else (1.0 - _EXACT) / (len(DEPARTURES) - 1)
+            near, best = closed_in(law, Weights.of(record, noises[0], departs, size), size)
+            first.append((near, best.likelier(beforehand), departs, beforehand))
+    logs = [float(logsumexp(best.log_evidence)) for _, best, _, _ in first]
+    blocks = [best for _, best, _, _ in first]
+    for (near, best, departs, beforehand), log in zip(first, logs, strict=True):
+        if log > max(logs) - _UNLIKELY:
+            for noise in noises[1:]:
+                weights = Weights.of(record, noise, departs, best.departure)
+                blocks.append(weighed(near, weights, best.departure).likelier(beforehand))
+    return blocks
 
 
 def _law_fit(law: Law, exact: Shapes, probability: float, record: Record) -> LawFit:

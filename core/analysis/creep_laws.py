@@ -70,26 +70,31 @@ SHAPES: dict[Law, tuple[ShapeParameter, ...]] = {
 """By law; the bounds are physical ones."""
 
 
-def curves(law: Law, days: FloatArray, shape: FloatArray) -> FloatArray:
-    """(n, curves) course of a law `days` (n,) after loading; 0 before.
+def curves(law: Law, days: FloatArray, shapes: FloatArray) -> FloatArray:
+    """(k, n, curves) courses of a law `days` (n,) after loading, of shapes (k, parameters).
 
-    >>> curves(Law.POWER, np.array([0.0, 100.0]), np.array([0.5])).ravel().tolist()
+    0 before loading.
+
+    >>> curves(Law.POWER, np.array([0.0, 100.0]), np.array([[0.5]])).ravel().tolist()
     [0.0, 10.0]
     """
     since = np.maximum(days, 0.0)[:, None]
+    bent = shapes[:, None, :]  # (k, 1, parameters)
     found: FloatArray
     match law:
         case Law.LOGARITHMIC:
-            found = np.log1p(since / shape)
+            found = np.log1p(since / bent)
         case Law.POWER:
-            found = since**shape
+            found = since**bent
         case Law.EUROCODE:
-            found = (since / (shape + since)) ** _CODE_EXPONENT
+            found = (since / (bent + since)) ** _CODE_EXPONENT
         case Law.ACI:
-            found = since ** shape[0] / (shape[1] + since ** shape[0])
+            grown = since ** bent[..., :1]
+            found = grown / (bent[..., 1:] + grown)
         case Law.B3:
-            dried = _DRYING * (1.0 - shape[1]) * np.tanh(np.sqrt(since / shape[0]))
-            found = np.hstack([np.log1p(since**_BASIC_EXPONENT), np.sqrt(np.expm1(dried))])
+            dried = _DRYING * (1.0 - bent[..., 1:]) * np.tanh(np.sqrt(since / bent[..., :1]))
+            basic = np.broadcast_to(np.log1p(since**_BASIC_EXPONENT), dried.shape)
+            found = np.concatenate([basic, np.sqrt(np.expm1(dried))], axis=-1)
         case Law.DOUBLE_EXPONENTIAL:
-            found = -np.expm1(-since / shape)
+            found = -np.expm1(-since / bent)
     return found

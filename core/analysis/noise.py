@@ -1,10 +1,11 @@
 """Noise that remembers: white noise and exponentially forgetting parts, fast at any length and gap.
 
-The covariance of n values at times t is K = s^2 (I + sum_m g_m^2 exp(-|t_i - t_j| / tau_m)). A part
-alone is an Ornstein-Uhlenbeck process, whose inverse covariance Q_m is tridiagonal at any times.
-With the parts as hidden states x, y = H x + e, Woodbury's formula gives
+The covariance of n values at times t is K = s^2 (W^-1 + sum_m g_m^2 exp(-|t_i - t_j| / tau_m)), W
+diagonal with the values' weights: 1, or how many others each is the mean of. A part alone is an
+Ornstein-Uhlenbeck process, whose inverse covariance Q_m is tridiagonal at any times. With the parts
+as hidden states x, y = H x + e, Woodbury's formula gives
 
-    K^-1 = (I - H P^-1 H') / s^2,    P = Q + H' H,    |K| = s^2n |P| / |Q|,
+    K^-1 = (W - W H P^-1 H' W) / s^2,    P = Q + H' W H,    |K| = s^2n |P| / (|Q| |W|),
 
 and P is banded, so that a product with K^-1 costs O(n) by LAPACK's banded Cholesky factor. It is
 fitted by restricted maximum likelihood (Patterson & Thompson, Biometrika 58, 1971), which allows
@@ -65,7 +66,7 @@ class Noise:
     """What is left after the fit, as a random process."""
 
     white_mm: float
-    """Standard deviation of what no other value shares."""
+    """Standard deviation of what no other value shares, of a value of weight 1."""
     parts: tuple[Part, ...]
 
     @property
@@ -78,16 +79,20 @@ class Whitening:
     """The inverse of a covariance, s^2 = 1, factorised once; applied to any number of columns."""
 
     def __init__(
-        self, times_days: FloatArray, gains: FloatArray, memories_days: FloatArray
+        self,
+        times_days: FloatArray,
+        gains: FloatArray,
+        memories_days: FloatArray,
+        weights: FloatArray | None = None,
     ) -> None:
-        """Factorise. `times_days` (n,) increasing; `gains`, `memories_days` (parts,)."""
+        """Factorise. `times_days`, `weights` (n,), the former increasing; the others (parts,)."""
         n, parts = len(times_days), len(gains)
         self.times_days = times_days
+        self._weights = np.ones(n) if weights is None else weights
         self._n, self._parts = n, parts
         band = np.zeros((parts + 1, n, parts))  # lower: [distance, row, part]
-        band[0] += 1.0
-        for distance in range(1, parts):  # H'H couples the parts of one value
-            band[distance, :, : parts - distance] = 1.0
+        for distance in range(parts):  # H'WH couples the parts of one value
+            band[distance, :, : parts - distance] = self._weights[:, None]
         log_Q = 0.0
         steps = np.diff(times_days)
         for part, (gain, memory) in enumerate(zip(gains, memories_days, strict=True)):
@@ -101,13 +106,16 @@ class Whitening:
             log_Q -= 2 * n * np.log(gain) + float(np.log(new).sum())
         self._factor = cholesky_banded(band.reshape(parts + 1, n * parts), lower=True)
         self.log_determinant = 2.0 * float(np.log(self._factor[0]).sum()) - log_Q
+        self.log_determinant -= float(np.log(self._weights).sum())
         """Of K with s^2 = 1."""
 
     def solve(self, columns: FloatArray) -> FloatArray:
         """K^-1 times columns (n, k), s^2 = 1."""
-        hidden = np.repeat(columns, self._parts, axis=0)
+        weighted = self._weights[:, None] * columns
+        hidden = np.repeat(weighted, self._parts, axis=0)
         smooth = cho_solve_banded((self._factor, True), hidden)
-        found: FloatArray = columns - smooth.reshape(self._n, self._parts, -1).sum(axis=1)
+        shared = smooth.reshape(self._n, self._parts, -1).sum(axis=1)
+        found: FloatArray = weighted - self._weights[:, None] * shared
         return found
 
     def half(self, hidden: FloatArray) -> FloatArray:
@@ -117,8 +125,9 @@ class Whitening:
 
     def squares(self, columns: FloatArray) -> FloatArray:
         """(k,) c' K^-1 c of each of the columns c (n, k), s^2 = 1; in half the time of `solve`."""
-        half = self.half(np.asfortranarray(np.repeat(columns, self._parts, axis=0)))
-        found: FloatArray = np.sum(columns**2, axis=0) - np.sum(half**2, axis=0)
+        weighted = self._weights[:, None] * columns
+        half = self.half(np.asfortranarray(np.repeat(weighted, self._parts, axis=0)))
+        found: FloatArray = np.sum(columns * weighted, axis=0) - np.sum(half**2, axis=0)
         return found
 
 
@@ -179,19 +188,25 @@ class _Likelihood:
     """The restricted likelihood of a noise, for a search: without coefficients, so faster."""
 
     def __init__(
-        self, times_days: FloatArray, design: FloatArray, values_mm: FloatArray, parts: int
+        self,
+        times_days: FloatArray,
+        design: FloatArray,
+        values_mm: FloatArray,
+        parts: int,
+        weights: FloatArray | None,
     ) -> None:
-        self._times_days, self._parts = times_days, parts
+        self._times_days, self._parts, self._weights = times_days, parts, weights
         basis, _ = np.linalg.qr(design)
         rest_mm = values_mm - basis @ (basis.T @ values_mm)  # as likely, and small
         self._columns = np.column_stack([basis, rest_mm])
-        self._products = self._columns.T @ self._columns
-        self._hidden = np.asfortranarray(np.repeat(self._columns, parts, axis=0))
+        weighted = self._columns if weights is None else weights[:, None] * self._columns
+        self._products = self._columns.T @ weighted
+        self._hidden = np.asfortranarray(np.repeat(weighted, parts, axis=0))
 
     def minus_log(self, logs: NDArray[Any]) -> float:
         """Of gains and memories (2 parts,), in logarithms; but for a constant."""
         gains, memories = np.exp(logs[: self._parts]), np.exp(logs[self._parts :])
-        whitening = Whitening(self._times_days, gains, memories)
+        whitening = Whitening(self._times_days, gains, memories, self._weights)
         half = whitening.half(self._hidden)
         weighted = self._products - half.T @ half  # the columns' own with K^-1
         normal, score = weighted[:-1, :-1], weighted[:-1, -1]
@@ -216,13 +231,17 @@ def fit_noise(
     values_mm: FloatArray,
     memories_days: tuple[tuple[float, float], ...] = MEMORIES_DAYS,
     start: FloatArray | None = None,
+    weights: FloatArray | None = None,
 ) -> NoiseFit:
-    """Fit the noise by restricted maximum likelihood, with the coefficients of a design (n, p)."""
+    """Fit the noise by restricted maximum likelihood, with the coefficients of a design (n, p).
+
+    `weights` (n,) are of the values' white parts; without them all are 1.
+    """
     parts = len(memories_days)
     limits = [_GAIN_LIMITS] * parts + list(memories_days)
     bounds = [(float(np.log(low)), float(np.log(high))) for low, high in limits]
 
-    likelihood = _Likelihood(times_days, design, values_mm, parts)
+    likelihood = _Likelihood(times_days, design, values_mm, parts, weights)
     edges = np.array(bounds).T
     if start is None or (np.minimum(start - edges[0], edges[1] - start) < _AT_BOUND).any():
         tried = _starts(edges, parts)
@@ -242,7 +261,7 @@ def fit_noise(
         if not stopped.any():
             break
     gains, memories = np.exp(best[:parts]), np.exp(best[parts:])
-    whitening = Whitening(times_days, gains, memories)
+    whitening = Whitening(times_days, gains, memories, weights)
     fit = gls(whitening, design, values_mm)
     white_mm = float(np.sqrt(fit.variance_mm2))
     noise = Noise(

@@ -98,10 +98,8 @@ def _creep(creep: Creep) -> Iterator[str]:
             f"creep, {one.law.value}: {sum(one.sizes_mm):+.3f} mm until now, {shape}, "
             f"AICc {one.aicc - best:+.1f}, probability {one.probability:.3f}"
         )
-    yield (
-        f"creep: its rate departs from a law's by some {100.0 * creep.departure:.0f} %; "
-        "predictions allow for that"
-    )
+    by = f"some {100.0 * creep.departure:.0f} %" if creep.departure else "nothing that shows"
+    yield f"creep: its rate departs from a law's by {by}; predictions allow for a departure"
     for prediction in creep.predictions:
         yield (
             f"creep, day {prediction.days:g} after loading: level {_mm(prediction.mm)} mm "

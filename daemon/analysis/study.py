@@ -188,7 +188,11 @@ class _Analyst:
         beside = np.column_stack([warm, steps.columns[:, later]])
         try:
             return fit_creep(
-                times_s, values_mm, loaded.timestamp(), self._asked.predict_days, beside
+                times_s[steps.keep],
+                values_mm[steps.keep],
+                loaded.timestamp(),
+                self._asked.predict_days,
+                beside[steps.keep],
             )
         except ValueError as error:
             self._notes.append(f"creep: {error}")
