@@ -17,9 +17,9 @@ from typing import Any, cast
 
 from daemon.errors import DcamError, HardwareError, UsageError, WorkFailedError
 from daemon.reprocessing.chunks import Chunk, SeenChunk, Work, chunk_key, see_chunk_elsewhere
+from daemon.reprocessing.not_started import no_dask, why_not_started
 from daemon.reprocessing.parts import Parts
 from daemon.slots.identity import Identity, own_identity
-from drivers.libraries import how_to_install
 
 _AHEAD = 2
 """Chunks in flight for each thread of the workers: one at work, one that waits. More would only
@@ -55,9 +55,12 @@ Tell = Callable[[str], None]
 def local_cluster(cores: int, tell: Tell) -> Iterator[Future[Any]]:
     """Start a worker a core on this computer; the client comes when they are up.
 
-    All ends with the block.
+    All ends with the block. Raises HardwareError.
     """
-    _start_fork_server()
+    try:
+        _start_fork_server()
+    except OSError as error:
+        raise why_not_started(error) from error
     with ExitStack() as opened, ThreadPoolExecutor(1, "start of workers") as starter:
         starting = starter.submit(_started, opened, cores)
         starting.add_done_callback(partial(_say_so, tell, cores))
@@ -70,6 +73,14 @@ def _say_so(tell: Tell, cores: int, starting: Future[Any]) -> None:
 
 
 def _started(opened: ExitStack, cores: int) -> Any:
+    """Start them, and give the client. Raises WorkFailedError, HardwareError."""
+    try:
+        return _cluster(opened, cores)
+    except Exception as error:
+        raise why_not_started(error) from error
+
+
+def _cluster(opened: ExitStack, cores: int) -> Any:
     from dask import config
     from distributed import Client, LocalCluster, utils
 
@@ -97,9 +108,8 @@ def remote_cluster(address: str, tell: Tell) -> Iterator[Any]:
     """Connect to a scheduler. Raises HardwareError, UsageError."""
     try:
         from distributed import Client
-    except ImportError:
-        msg = f"--scheduler needs dask: {how_to_install_dask()}"
-        raise WorkFailedError(msg) from None
+    except ImportError as error:
+        raise no_dask(error) from None
     _silence()
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
@@ -113,7 +123,7 @@ def remote_cluster(address: str, tell: Tell) -> Iterator[Any]:
             msg = f"{address}: no scheduler answers ({' '.join(str(error).split())[:120]}); start "
             msg += "one with: dask scheduler"
             raise HardwareError(msg) from None
-        except ValueError as error:
+        except (ValueError, TypeError) as error:  # no address, or of a kind that is not set up
             msg = f"--scheduler {address}: {error}; an address is tcp://host:8786"
             raise UsageError(msg) from None
     for one in warned:
@@ -211,11 +221,6 @@ def _awaited(client: Any, future: Any) -> SeenChunk:
         if time.monotonic() - alone_since_s > ALONE_S:
             msg = f"no worker is left since {ALONE_S:g} s; start some, and run it again to go on"
             raise HardwareError(msg)
-
-
-def how_to_install_dask() -> str:
-    """What to do in this installation to have it."""
-    return how_to_install("dask", extra="dask", there="reprocess a copy of the frames")
 
 
 def cores() -> int:

@@ -12,6 +12,7 @@ from daemon.errors import WorkFailedError
 from daemon.reprocessing import cluster
 from daemon.reprocessing.chunks import Chunk, Work, chunk_key, in_chunks, read_chunk, see_chunk
 from daemon.reprocessing.frames import Frames, SeenSlot
+from daemon.reprocessing.not_started import how_to_install_dask
 from daemon.reprocessing.parts import Parts
 
 LOCAL, SERIAL = "local", "serial"
@@ -67,7 +68,7 @@ def _seen_from_the_start(
 def _chosen(scheduler: str | None, count: int, tell: Callable[[str], None]) -> str:
     has_dask = find_spec("distributed") is not None
     if scheduler == LOCAL and not has_dask:
-        msg = f"--scheduler {LOCAL} needs dask: {cluster.how_to_install_dask()}"
+        msg = f"--scheduler {LOCAL} needs dask: {how_to_install_dask()}"
         raise WorkFailedError(msg)
     if scheduler is not None:
         return scheduler
@@ -77,7 +78,7 @@ def _chosen(scheduler: str | None, count: int, tell: Callable[[str], None]) -> s
         tell("measuring on one core: there is no other")
         return SERIAL
     if not has_dask:
-        cure = cluster.how_to_install_dask()
+        cure = how_to_install_dask()
         tell(f"measuring on one core of {cluster.cores()}; dask would use all: {cure}")
         return SERIAL
     return LOCAL
