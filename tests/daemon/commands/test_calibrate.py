@@ -327,8 +327,10 @@ def test_a_reader_that_goes_away_does_not_cost_the_calibration(
     os.close(reading)
     script = tmp_path / "at_once.py"
     script.write_text(
-        "import sys; sys.stdout.reconfigure(write_through=True)\n"
-        "from daemon.ctl import main; main()\n"
+        "import io, sys\n"
+        "sys.stdout = io.TextIOWrapper(open(1, 'wb', 0), write_through=True)  # as python -u\n"
+        "from daemon.ctl import main\n"
+        "sys.exit(main())\n"
     )
     words = ("--config", bench / "dcam.toml", "--state", tmp_path / "state")
     with Program(script, *words, "calibrate", "--from", brief, stdout=Connection(writing)):

@@ -32,7 +32,7 @@ def year(tmp_path_factory: pytest.TempPathFactory) -> Year:
     """The sets, each calibrated in turn and its rows measured, as somebody at the pier would."""
     directory = tmp_path_factory.mktemp("year")
     config = directory / "dcam.toml"
-    config.write_text(laboratory(640, square_mm=4.0) + FIXED_PLATE + NOTHING_CHANGES)
+    config.write_text(laboratory(640, square_mm=6.0) + FIXED_PLATE + NOTHING_CHANGES)
     made = write_year(directory, load_config(config).site())
     site = ["--config", str(config), "--state", str(directory / "state")]
     for number, images in enumerate(made.sets, start=1):
