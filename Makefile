@@ -15,7 +15,7 @@ help:
 	@echo "make venv    make .venv with all that is needed, and do nothing else: .venv/bin/dcam-ctl"
 	@echo "make demo    calibrate, measure 60 slots and more, and compare with the truth: out/demo"
 	@echo "make test    run the tests"
-	@echo "make exhaustive  the tests that try some of many cases, on every case: ten minutes or so"
+	@echo "make exhaustive  the tests that try some of many cases, on every case: a quarter of an hour"
 	@echo "make check   lint, types, import contracts"
 	@echo "make bench   measure time and memory: docs/benchmarks.md"
 	@echo "make studies repeat the studies of accuracy, an hour or so: docs/studies; a second run continues"
@@ -38,7 +38,7 @@ test: $(INSTALLED)
 	@sh .ci/system-packages $(PYTHON) tests
 	$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 2)) --dist loadfile --no-loadscope-reorder
 
-# Each system call, each operation on the disk and each bit of a header, where `make test` takes every third or so.
+# Each system call, operation on the disk, bit of a header and simulated site, where `make test` takes every third or so.
 exhaustive: $(INSTALLED)
 	@sh .ci/system-packages $(PYTHON) tests
 	DCAM_EXHAUSTIVE=1 $(BIN)/python -m pytest $$(grep -rl tests.exhaustive tests --include='test_*.py') tests/crash
