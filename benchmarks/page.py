@@ -7,22 +7,20 @@ Debian's Chromium.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import statistics
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.request import urlopen
 
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from benchmarks.page_record import FIRST, MINUTE, write_record
-from benchmarks.page_server import serving
+from benchmarks.page_server import serving, wait_until_read
 from daemon.config.reading import load_config
+from daemon.store.revisions import REVISIONS
 from daemon.times import slot_text
 
 CONFIG = Path(__file__).with_name("small.toml")
@@ -84,27 +82,19 @@ class PageCost:
 
 
 def measure_page(rows: int = ROWS, state: Path | None = None) -> Iterator[PageCost]:
-    """Write a record, unless it is there; look at it as a computer and as a phone."""
+    """Write a record below `state`, unless it is there; look at it as a computer and as a phone."""
     with tempfile.TemporaryDirectory(prefix="dcam-bench-") as scratch, sync_playwright() as driver:
-        directory = state or Path(scratch) / "state"
+        # A later version's tables are others: a record of an older one stays beside it.
+        directory = (state or Path(scratch)) / f"{rows}-rows-{REVISIONS[-1]}"
         if not (directory / "dcam.db").exists():
             write_record(directory, load_config(CONFIG).site(), rows)
         arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=arguments)
         with serving(CONFIG, directory) as url:
-            _wait_until_read(url)
+            wait_until_read(url)
             for throttling in (1, THROTTLED):
                 yield _measure(browser, url, rows, throttling)
         browser.close()
-
-
-def _wait_until_read(url: str) -> None:
-    """Until dcam-web has read the whole record, which it does once: some milliseconds a day."""
-    while True:
-        with urlopen(f"{url}/api/site") as answer:
-            if json.load(answer)["building"] is None:
-                return
-        time.sleep(1.0)
 
 
 def _measure(browser: Browser, url: str, rows: int, throttling: int) -> PageCost:
@@ -153,7 +143,9 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.page", description=__doc__)
     parser.add_argument("--rows", type=int, default=ROWS)
-    parser.add_argument("--state", type=Path, metavar="DIR", help="keep the record, use it again")
+    parser.add_argument(
+        "--state", type=Path, metavar="DIR", help="keep records here, use them again"
+    )
     options = parser.parse_args()
     for cost in measure_page(options.rows, options.state):
         print(f"{cost.rows} rows, processor at 1/{cost.throttling}: median and worst")

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from urllib.request import urlopen
 
 ROOT = Path(__file__).parents[1]
 UNIT = ROOT / "systemd/dcam-web.service"
@@ -42,6 +45,15 @@ def running(config: Path, state: Path | None) -> Iterator[tuple[int, str]]:
 def _said_by_unit() -> dict[str, str]:
     """What changes how Python runs."""
     return dict(re.findall(r"^Environment=(PYTHON\w+)=(\S+)$", UNIT.read_text(), re.MULTILINE))
+
+
+def wait_until_read(url: str) -> None:
+    """Until dcam-web has read the whole record, which it does once: some milliseconds a day."""
+    while True:
+        with urlopen(f"{url}/api/site") as answer:
+            if json.load(answer)["building"] is None:
+                return
+        time.sleep(1.0)
 
 
 def rss_mb(process: int) -> float:

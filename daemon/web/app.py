@@ -150,7 +150,9 @@ class Page:
         return self.answer(
             request,
             lambda: slots.days(
-                pyramid, self.config, span, since, until, now_utc, pictures=pictures
+                *(pyramid, self.config, span, since, until, now_utc),
+                slots.excluded(self.record),
+                pictures=pictures,
             ),
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any
 from urllib.parse import quote
@@ -10,8 +11,15 @@ import numpy as np
 
 from core.results import Flag
 from daemon.config.reading import Config
+from daemon.errors import StoreError
 from daemon.plain import plain
-from daemon.store.ledger.entries import in_force, ledger_entries
+from daemon.store.ledger.entries import (
+    LedgerEntry,
+    Span,
+    excluded_spans,
+    in_force,
+    ledger_entries,
+)
 from daemon.store.queries.datum_fields import sigmas_mm
 from daemon.store.queries.json_fields import result_fields
 from daemon.store.queries.record_view import (
@@ -42,15 +50,24 @@ def slot(record: Record, slot_utc: datetime) -> dict[str, Any] | None:
         previous, following = neighbours(connection, slot_utc)
         begin, end = slot_text(slot_utc), slot_text(slot_utc + timedelta(seconds=1))
         gaps = [] if view else gaps_within(connection, begin, end)
-    head = {"schema": 1, "slot": slot_utc, "previous": previous, "next": following}
+        said = [one for one in in_force(ledger_entries(connection)) if _holds(one, slot_utc)]
+    ends = {"slot": slot_utc, "previous": previous, "next": following}
+    head = {"schema": 1, **ends, "ledger": [entry_fields(one) for one in said]}
     if view is None:
         if not gaps:
             return None
         gap = gaps[0]
         frames = {"main": None, "sub": None}
         reasons = [gap.cause.value, *([gap.detail] if gap.detail else [])]
-        said = {"flag": int(Flag.MISSING), "reasons": reasons}
-        return {**head, **said, "points": {}, "numbers": {}, "frames": frames, "calibration": None}
+        missing = {"flag": int(Flag.MISSING), "reasons": reasons}
+        return {
+            **head,
+            **missing,
+            "points": {},
+            "numbers": {},
+            "frames": frames,
+            "calibration": None,
+        }
     fields = result_fields(slot_utc, view.measurement)
     shown = {name: value for name, value in view.columns.items() if name not in _NOT_NUMBERS}
     numbers = {**shown, **{name: fields[name] for name in shown if name in fields}}
@@ -65,6 +82,21 @@ def slot(record: Record, slot_utc: datetime) -> dict[str, Any] | None:
     }
 
 
+def _holds(entry: LedgerEntry, slot_utc: datetime) -> bool:
+    """Whether an entry speaks of a slot."""
+    since, until = entry.since_utc, entry.until_utc
+    return since is not None and until is not None and since <= slot_utc < until
+
+
+def excluded(record: Record) -> list[Span]:
+    """What the ledger excludes of the main target, in order; nothing where nothing can be read."""
+    try:
+        with record.reading() as connection:
+            return excluded_spans(ledger_entries(connection))
+    except StoreError:
+        return []
+
+
 def frame_url(record: Record, slot_utc: datetime, role: str) -> str | None:
     """Where a frame is given, if it is there."""
     there = record.frame(slot_utc, role)
@@ -73,9 +105,13 @@ def frame_url(record: Record, slot_utc: datetime, role: str) -> str | None:
 
 def days(
     pyramid: Pyramid, config: Config, span: tuple[datetime, datetime] | None,
-    since: datetime, until: datetime, now_utc: datetime, *, pictures: bool,
+    since: datetime, until: datetime, now_utc: datetime,
+    left_out: Sequence[Span], *, pictures: bool,
 ) -> dict[str, Any]:  # fmt: skip
-    """Days of a span: extremes and mean of the main target, completeness, a picture if wanted."""
+    """Days of a span: extremes and mean of the main target, completeness, a picture if wanted.
+
+    The numbers are of all rows; `excluded` says which share of the day the ledger leaves out.
+    """
     first = (int(seconds(since)) - EPOCH_S) // DAY_S
     count = (int(seconds(until)) - EPOCH_S - 1) // DAY_S - first + 1
     known = pyramid.read_days(first, count)
@@ -100,6 +136,7 @@ def days(
                 "completeness": min(int(day["rows"]) / expected, 1.0) if expected else 1.0,
                 "good": min(int(day["good"]) / max(expected, int(day["rows"])), 1.0),
                 "flag": int(day["worst"]) or int(Flag.MISSING),
+                "excluded": _share_within(left_out, begin_s),
                 "thumbnail": f"/frames/{frame}/main?width=160" if frame and pictures else None,
                 "slot": frame,
             }
@@ -116,6 +153,12 @@ def _expected(
     end_s = max(min(seconds(now_utc), begin_s + DAY_S), seconds(span[1]) + period_s)
     from_s, to_s = max(begin_s, seconds(span[0])), min(begin_s + DAY_S, end_s)
     return max(int((to_s - from_s) // period_s), 0)
+
+
+def _share_within(spans: Sequence[Span], begin_s: int) -> float:
+    """The share of a day that lies within spans, which are apart."""
+    ends = [(max(seconds(a), begin_s), min(seconds(b), begin_s + DAY_S)) for a, b in spans]
+    return sum(max(b - a, 0) for a, b in ends) / DAY_S
 
 
 def _extremes(bucket: np.void) -> dict[str, float | None]:

@@ -17,23 +17,32 @@ const bar = (day, low, high) => {
     svg("rect", { class: "middle", x: 1, y: y(day.y_mm.mean) - 0.75, width: 14, height: 1.5 }));
 };
 
+const noPicture = () => el("span", { class: "no-picture" }, t("no_picture"));
+
+const picture = (source) => {
+  const image = el("img", { src: source, alt: "", loading: "lazy", onerror: () => image.replaceWith(noPicture()) });
+  return image;
+};
+
 const card = (day, low, high) => {
   const until = iso(Date.parse(`${day.day}T00:00:00Z`) / 1000 + DAY_S);
-  return el("li", { class: `day day-${day.good >= 0.95 ? "good" : day.good >= 0.5 ? "fair" : "poor"}` },
+  const left = day.excluded > 0;
+  return el("li", { class: `day day-${day.good >= 0.95 ? "good" : day.good >= 0.5 ? "fair" : "poor"}${left ? " day-excluded" : ""}` },
     el("a", { href: at(`/#since=${day.day}T00:00:00Z&until=${until}`) },
       el("span", { class: "day-name" }, day.day),
       el("span", { class: "day-row" },
-        day.thumbnail ? el("img", { src: day.thumbnail, alt: "", loading: "lazy" }) : el("span", { class: "no-picture" }, t("no_picture")),
+        day.thumbnail ? picture(day.thumbnail) : noPicture(),
         bar(day, low, high)),
-      el("span", { class: "hint" }, [t("day_says", { mean: fixed(day.y_mm?.mean, 2) }), el("br"), t("complete", { percent: percent(day.completeness) })])));
+      el("span", { class: "hint" }, [t("day_says", { mean: fixed(day.y_mm?.mean, 2) }), el("br"), t("complete", { percent: percent(day.completeness) }),
+        left ? [el("br"), t("partly_excluded", { percent: percent(day.excluded) })] : null].flat().filter(Boolean))));
 };
 
 const dayTable = (days) => {
   const rows = days.map((day) => [day.day,
     ...["x_mm", "y_mm"].flatMap((axis) => ["min", "mean", "max"].map((part) => fixed(day[axis]?.[part]))),
-    percent(day.completeness), percent(day.good), t(`flag_${day.flag}`)]);
+    percent(day.completeness), percent(day.good), percent(day.excluded), t(`flag_${day.flag}`)]);
   const columns = [t("day"), ...[t("right_mm"), t("up_mm")].flatMap((axis) => ["minimum", "mean", "maximum"].map((part) => `${axis}, ${t(part)}`)),
-    t("completeness"), t("flag_1"), t("worst_flag")];
+    t("completeness"), t("flag_1"), t("excluded"), t("worst_flag")];
   return el("details", {}, el("summary", {}, t("table_of", { title: t("title_days") })), table(t("title_days"), columns, rows));
 };
 

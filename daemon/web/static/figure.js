@@ -63,11 +63,11 @@ export class RecordFigure {
     this.width = node.clientWidth;
     this.chosen = new Set((recall("panels", null)?.split(" ") ?? DEFAULT_PANELS));
     [this.since, this.until] = this.fromAddress() ?? [this.last - 7 * 86400, this.last + 60];
+    this.sight = new IntersectionObserver((entries) => this.seen(entries), { rootMargin: "100px" });
     this.choosePanels();
     this.makeTools();
     this.placePanels();
     new ResizeObserver(() => this.resized()).observe(this.panelBox);
-    this.sight = new IntersectionObserver((entries) => this.seen(entries), { rootMargin: "100px" });
     addEventListener("hashchange", () => {
       const asked = this.fromAddress();
       if (asked && (asked[0] !== Math.round(this.since) || asked[1] !== Math.round(this.until))) this.go(...asked);
@@ -121,8 +121,8 @@ export class RecordFigure {
     this.panels = this.specs.filter(({ id }) => this.chosen.has(id)).map((spec) => there.get(spec.id) ?? new Panel(spec, hooks));
     for (const panel of there.values()) if (!this.panels.includes(panel)) panel.u?.destroy();
     for (const panel of this.panels) panel.lay(this.reference, this.marks);
-    this.sight?.disconnect();
-    for (const { node } of this.panels) this.sight?.observe(node);
+    this.sight.disconnect();
+    for (const { node } of this.panels) this.sight.observe(node);
     this.again();
   }
 

@@ -6,6 +6,8 @@ export const SIGMAS = 2;
 const WIDTH_PX = 1.25;
 const PIECE = 8; // values in one path
 const JOINED = 1.6; // steps; where the next value is further away the line is broken
+const TALL_PX = 4; // an extent that could hide another line's
+const THROUGH = 0.4; // how much of an extent covers what lies below it
 
 const colours = new Map();
 
@@ -92,6 +94,30 @@ const drawColumns = (ctx, x, y, half, line, times, [first, last], [ink, shade]) 
   for (let k = 0; k <= last - first; k += 1) ctx.fillRect(left[k], top[k], right[k] - left[k], bottom[k] - top[k]);
 };
 
+const isTall = (line, n, y) => y(line.min[n]) - y(line.max[n]) > TALL_PX * devicePixelRatio;
+
+/** A line whose tall columns are their means alone. */
+const withoutTall = (line, y) => {
+  const ends = (values) => values.map((value, n) => (isTall(line, n, y) ? line.mean[n] : value));
+  return { ...line, min: ends(line.min), max: ends(line.max) };
+};
+
+/** Draw how far the tall columns of a line reach so that other lines show through: before all lines. */
+export const drawReach = (u, line, hue, { times, spanS }, first, last) => {
+  const [x, y, across] = placesOf(u);
+  const half = (across * spanS) / 2;
+  clipped(u, (ctx) => {
+    ctx.fillStyle = colour(`--line-${hue}`);
+    ctx.globalAlpha = THROUGH;
+    for (let n = first; n <= last; n += 1) {
+      if (!there(line.mean[n]) || !isTall(line, n, y)) continue;
+      const left = Math.round(x(times[n]) - half);
+      const width = Math.max(1, Math.round(x(times[n]) + half) - left);
+      ctx.fillRect(left, y(line.max[n]), width, y(line.min[n]) - y(line.max[n]));
+    }
+  });
+};
+
 /** Call for pieces of a run, each of which begins with the last value of the one before. */
 const inPieces = ([first, last], size, draw) => {
   for (let from = first; from < last || from === first; from += size) draw(from, Math.min(last, from + size));
@@ -120,16 +146,18 @@ const drawRows = (ctx, x, y, { mean, sigma }, times, run, [ink, shade]) => {
   });
 };
 
-/** Draw values `first` to `last` of a line, with the band of its uncertainty. */
-export const drawLine = (u, line, hue, { times, step, spanS }, first, last) => {
+/** Draw values `first` to `last` of a line, with the band of its uncertainty; beside others without
+ * what `drawReach` draws of it. */
+export const drawLine = (u, line, hue, { times, step, spanS }, first, last, alone) => {
   const [x, y, across] = placesOf(u);
   const inks = [colour(`--line-${hue}`), colour(`--band-${hue}`)];
   clipped(u, (ctx) => {
     ctx.lineWidth = WIDTH_PX * devicePixelRatio;
     ctx.lineJoin = "bevel";
+    const shown = alone || !spanS ? line : withoutTall(line, y);
     for (const run of runsOf(times, line.mean, step, first, last)) {
-      if (spanS > 0) drawColumns(ctx, x, y, (across * spanS) / 2, line, times, run, inks);
-      else drawRows(ctx, x, y, line, times, run, inks);
+      if (spanS > 0) drawColumns(ctx, x, y, (across * spanS) / 2, shown, times, run, inks);
+      else drawRows(ctx, x, y, shown, times, run, inks);
     }
   });
 };

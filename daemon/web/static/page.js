@@ -4,7 +4,7 @@ const strings = JSON.parse(document.getElementById("strings").textContent);
 
 /** A text of strings/*.json, with {names} filled in. */
 export const t = (key, values = {}) =>
-  (strings[key] ?? key).replace(/\{(\w+)\}/g, (_, name) => values[name] ?? "");
+  ((values.count === 1 && strings[`${key}_one`]) || (strings[key] ?? key)).replace(/\{(\w+)\}/g, (_, name) => values[name] ?? "");
 
 const SVG = "http://www.w3.org/2000/svg";
 

@@ -1,6 +1,6 @@
 // One figure: lines of one unit over time. uPlot keeps scales, axes and cursor.
 
-import { SIGMAS, clipped, colour, drawLine } from "./lines.js";
+import { SIGMAS, clipped, colour, drawLine, drawReach } from "./lines.js";
 import { duration, el, fixed, t, table, timeText, withSigma, zone } from "./page.js";
 
 export const AXIS_PX = 62;
@@ -200,7 +200,10 @@ export class Panel {
 
   drawLine(u, k) {
     const [first, last] = this.window();
-    if (first < last) drawLine(u, this.lines[k], this.hue(k), this, first, last - 1);
+    if (first >= last) return;
+    const alone = this.lines.length === 1;
+    if (k === 0 && !alone && this.spanS) this.lines.forEach((line, n) => drawReach(u, line, this.hue(n), this, first, last - 1));
+    drawLine(u, this.lines[k], this.hue(k), this, first, last - 1, alone);
   }
 
   /** Gaps, flags and exclusions, behind the lines. */

@@ -112,6 +112,10 @@ const numbers = (answer) => {
   return rows.length ? el("details", {}, el("summary", {}, t("numbers")), table(t("numbers"), [t("column"), t("value")], rows, { class: "numbers" })) : null;
 };
 
+/** What people have said of it, so that it is left out of figures and sums. */
+const excluded = (entries) => entries.filter(({ kind }) => kind === "exclude")
+  .map((entry) => el("p", { class: "notice" }, t("excluded_why", { text: [entry.text, entry.author && `(${entry.author})`, entry.point && `${t("point")}: ${entry.point}`].filter(Boolean).join(" ") })));
+
 /** Fill a node with a slot; `go(slot)` is called for the one before or after. */
 export const showSlot = async (node, slot, go) => {
   node.dataset.slot = slot;
@@ -129,6 +133,7 @@ export const showSlot = async (node, slot, go) => {
         el("span", { class: "buttons" }, step("previous", answer.previous), step("next", answer.next),
           node.id === "slot" ? null : el("a", { href: at(`/slot/${encodeURIComponent(slot)}`) }, t("as_page")), el("a", { href: around }, t("in_record")),
           answer.calibration ? el("a", { href: at(`/calibrations/${answer.calibration}`) }, `${t("calibration")} ${answer.calibration}`) : null)),
+      ...excluded(answer.ledger ?? []),
       el("div", { class: "cameras" }, frames.map((frame) => frame.node)),
       ...[points(answer), numbers(answer)].filter(Boolean));
     if (focused) node.querySelector(`[data-go="${focused}"]:enabled`)?.focus();

@@ -39,8 +39,10 @@ panel => {
   const rgb = [1, 3, 5].map(k => parseInt(wanted.slice(k, k + 2), 16));
   const scale = canvas.width / a.width;
   const [width, height] = [Math.round(b.width * scale), Math.round(b.height * scale)];
-  const { data } = canvas.getContext("2d").getImageData(
-    Math.round((b.left - a.left) * scale), Math.round((b.top - a.top) * scale), width, height);
+  const copy = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
+  const [left, top] = [Math.round((b.left - a.left) * scale), Math.round((b.top - a.top) * scale)];
+  copy.drawImage(canvas, -left, -top);
+  const { data } = copy.getImageData(0, 0, width, height);
   const places = [];
   for (let y = 0; y < height; y++) for (let x = 0; x < width; x++) {
     const at = 4 * (y * width + x);

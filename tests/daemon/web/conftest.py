@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import Browser, sync_playwright
 
 from benchmarks.page_record import FIRST, MINUTE, PageRecord, write_record
-from benchmarks.page_server import ROOT, serving
+from benchmarks.page_server import ROOT, serving, wait_until_read
 from daemon.config.reading import load_config
 from daemon.store.database import open_store
 from daemon.store.ledger.entries import LedgerEntry, LedgerKind
@@ -64,6 +64,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     with open_store(directory / "state") as store:
         store.add_ledger_entry(painted)
     with serving(config, directory / "state") as url:
+        wait_until_read(url)
         yield Served(url, record)
 
 

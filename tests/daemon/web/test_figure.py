@@ -6,7 +6,7 @@ import re
 from datetime import timedelta
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Route, expect
 
 from benchmarks.page_record import GAP_SLOTS, PEAK_MM, SUSPECT
 from daemon.times import slot_text
@@ -24,6 +24,24 @@ async pauseS => {
 }
 """
 """A suspect run and a bad one by turns, as clouds and a low sun make them: 20, then a pause."""
+
+ZOOMED = """
+async () => {
+  const drawn = name => document.querySelector(`[data-panel=${name}] canvas`).toDataURL();
+  const names = ["y", "temperature"];
+  const before = names.map(drawn);
+  const isNew = (name, k) => [name, drawn(name) !== before[k]];
+  const changed = () => Object.fromEntries(names.map(isNew));
+  const over = document.querySelector("[data-panel=y] .over"), box = over.getBoundingClientRect();
+  over.dispatchEvent(new WheelEvent("wheel", { deltaY: -200, cancelable: true,
+    clientX: box.left + 0.4 * box.width, clientY: box.top + 20 }));
+  await new Promise(requestAnimationFrame);  // behind the page's own, which draws
+  const atOnce = changed();
+  while (!document.querySelector("#figure[data-settled]")) await new Promise(requestAnimationFrame);
+  return [atOnce, changed()];
+}
+"""
+"""Which figures have changed in the first frame after a turn of the wheel, and in the end."""
 
 
 def test_a_peak_of_one_row_is_drawn_and_a_click_on_it_opens_its_slot(
@@ -193,6 +211,39 @@ def test_the_line_is_broken_in_a_gap(visit: Visit, served: Served) -> None:
     shares = [x / box["width"] for x, _ in visit.panel("y").evaluate(LINE_PLACES)]
     assert min(shares) < 0.1
     assert [share for share in shares if 0.52 < share < 0.98] == []
+
+
+def test_two_lines_that_reach_equally_far_are_both_seen(visit: Visit, served: Served) -> None:
+    """Each piece of either reaches from -1 to 1 mm; their means lie apart."""
+
+    def as_wide(route: Route) -> None:
+        found = route.fetch()
+        answer = found.json()
+        for name, mean in (("raw_y_mm.main", -0.5), ("y_mm.main", 0.5)):
+            for part, value in (("min", -1.0), ("mean", mean), ("max", 1.0)):
+                answer["series"][name][part] = [value] * len(answer["t"])
+        route.fulfill(response=found, json=answer)
+
+    visit.page.route("**/api/series*", as_wide)
+    visit.show(*whole(served))
+    panel = visit.panel("single_y")
+    box = panel.locator(".over").bounding_box()
+    for hue, place in ((1, 0.75), (0, 0.25)):
+        places = panel.evaluate(LINE_PLACES.replace("--line-0", f"--line-{hue}"))
+        there = {round(x) for x, y in places if abs(y / box["height"] - place) < 0.1}
+        assert len(there) > 0.9 * box["width"], f"line {hue}"
+
+
+def test_a_move_draws_what_is_in_sight_at_once_and_the_rest_when_it_settles(
+    visit: Visit, served: Served
+) -> None:
+    visit.page.set_viewport_size({"width": 1280, "height": 500})
+    visit.show(*whole(served))
+    panel = visit.panel("temperature").locator(".over")
+    assert panel.bounding_box()["y"] > 700
+    at_once, in_the_end = visit.page.evaluate(ZOOMED)
+    assert at_once == {"y": True, "temperature": False}
+    assert in_the_end == {"y": True, "temperature": True}
 
 
 def test_the_table_behind_a_figure_has_its_numbers(visit: Visit, served: Served) -> None:

@@ -27,10 +27,6 @@ PAGES = ("/", "/days", "/analysis", "/events", "/calibrations", "/calibrations/1
 LARGEST_PICTURE_KB = 150
 
 
-BUILDING = "async () => (await (await fetch('/api/site')).json()).building"
-"""The share of the record that the page has; None: all of it."""
-
-
 class TestEveryPage:
     @pytest.mark.parametrize("device", [WIDE, PHONE], ids=["wide-light", "phone-dark"])
     def test_nothing_grave_for_axe_nothing_on_the_console_no_request_elsewhere(
@@ -116,6 +112,13 @@ class TestSlot:
         visit.page.locator("[data-frame=main] button").click()
         expect(visit.page.locator("[data-frame=main] svg")).not_to_have_attribute("viewBox", before)
 
+    def test_it_says_what_the_ledger_excludes(self, visit: Visit, served: Served) -> None:
+        visit.go(f"/slot/{slot_text(served.record.suspect)}")
+        notice = visit.page.locator("#slot .notice")
+        expect(notice).to_have_text("Excluded by the ledger: plate painted (Eve)")
+        visit.go(f"/slot/{slot_text(served.record.suspect - MINUTE)}")
+        expect(notice).to_have_count(0)
+
     def test_previous_and_next_go_from_row_to_row(self, visit: Visit, served: Served) -> None:
         visit.go(f"/slot/{slot_text(served.record.last)}")
         slot = visit.page.locator("#slot")
@@ -129,10 +132,15 @@ class TestSlot:
 
 
 class TestOtherPages:
-    def test_days_are_a_filmstrip_that_leads_into_the_record(self, visit: Visit) -> None:
+    def test_days_are_a_filmstrip_that_leads_into_the_record(
+        self, visit: Visit, served: Served
+    ) -> None:
         visit.go("/days")
         day = visit.page.locator(".day", has_text="2026-03-06")
         expect(day.locator("img")).to_be_visible()
+        expect(day).not_to_contain_text("excluded")
+        painted = visit.page.locator(".day", has_text=f"{served.record.suspect:%Y-%m-%d}")
+        expect(painted).to_contain_text("2.1 % excluded")
         day.get_by_role("link").click()
         assert visit.span() == ("2026-03-06T00:00:00Z", "2026-03-07T00:00:00Z")
 
@@ -199,8 +207,6 @@ class TestPictures:
         with visiting(browser, served.url, **device) as visit:
             if name == "record":
                 visit.go("/")
-                while visit.page.evaluate(BUILDING) is not None:  # the oldest days come last
-                    visit.page.wait_for_timeout(200)
             visit.show(*whole(served))
             if name == "record":
                 expect(visit.panel("y").locator("figcaption")).to_contain_text("levelling.csv")
