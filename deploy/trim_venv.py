@@ -131,13 +131,12 @@ def list_loaded() -> None:
     warnings.simplefilter("ignore")
     sys.dont_write_bytecode = True
     for name in [*dict.fromkeys(imports()), *LOADED_BY_NAME]:
-        # Not a module but a name in one, or of a library that is not there: nothing to compile.
+        # Not a module but a name in one, or of a library that is not there: nothing to compile. A
+        # module of ours then fails at once for the next that needs it; one ends its process.
         try:
             importlib.import_module(name)
-        except Exception:  # noqa: BLE001 - whatever a library raises
-            if (
-                name.partition(".")[0] in OURS
-            ):  # nor for the next that needs it, which fails at once
+        except (Exception, SystemExit):  # noqa: BLE001 - whatever it raises
+            if name.partition(".")[0] in OURS:
                 sys.modules.setdefault(name, None)
     with contextlib.suppress(ModuleNotFoundError):  # loads its hundred receivers at its first use
         importlib.import_module("apprise").Apprise().add("json://localhost")
