@@ -28,14 +28,14 @@ export const panelSpecs = (overview, point) => {
     { id: "y", title: t("panel_y"), ...mm, lines: [value("y")], height: 210 },
     { id: "single_y", title: t("panel_single_y"), ...mm, lines: single("y") },
     ...(overview.points.some(({ role }) => role === "fixed")
-      ? [{ id: "closure", title: t("panel_closure"), ...mm, zero: true, lines: ["x", "y"].map((axis) => line(`closure_${axis}_mm`, axis)) }] : []),
+      ? [{ id: "closure", title: t("panel_closure"), ...mm, zero: true, mixed: true, lines: ["x", "y"].map((axis) => line(`closure_${axis}_mm`, axis)) }] : []),
     { id: "temperature", title: t("panel_temperature"), unit: "°C", digits: 1, least: 0.1, lines: celsius },
     { id: "x", title: t("panel_x"), ...mm, lines: [value("x")] },
     { id: "single_x", title: t("panel_single_x"), ...mm, lines: single("x") },
-    { id: "rotation", title: t("panel_rotation"), unit: "mrad", digits: 4, lines: ["rx", "ry", "rz"].map((axis) => line(`${axis}_rad`, axis, { factor: 1000 })) },
-    { id: "translation", title: t("panel_translation"), ...mm, lines: ["tx", "ty", "tz"].map((axis) => line(`${axis}_mm`, axis)) },
+    { id: "rotation", title: t("panel_rotation"), unit: "mrad", digits: 4, mixed: true, lines: ["rx", "ry", "rz"].map((axis) => line(`${axis}_rad`, axis, { factor: 1000 })) },
+    { id: "translation", title: t("panel_translation"), ...mm, mixed: true, lines: ["tx", "ty", "tz"].map((axis) => line(`${axis}_mm`, axis)) },
     ...(measured.length > 1
-      ? [{ id: "points_y", title: t("panel_points_y"), ...mm, lines: measured.map(({ name }) => line(`y_mm.${name}`, name)) }] : []),
+      ? [{ id: "points_y", title: t("panel_points_y"), ...mm, mixed: true, lines: measured.map(({ name }) => line(`y_mm.${name}`, name)) }] : []),
     ...units.map((unit) => ({
       id: `readings_${unit}`, title: t("panel_readings", { unit }), unit, lines: overview.readings
         .filter((reading) => reading.unit === unit).map(({ name }) => line(`reading_${name}`, name)),

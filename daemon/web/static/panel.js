@@ -201,7 +201,7 @@ export class Panel {
   drawLine(u, k) {
     const [first, last] = this.window();
     if (first >= last) return;
-    const alone = this.lines.length === 1;
+    const alone = !this.spec.mixed; // twice as much to draw: where lines cover one another
     if (k === 0 && !alone && this.spanS) this.lines.forEach((line, n) => drawReach(u, line, this.hue(n), this, first, last - 1));
     drawLine(u, this.lines[k], this.hue(k), this, first, last - 1, alone);
   }

@@ -214,21 +214,24 @@ def test_the_line_is_broken_in_a_gap(visit: Visit, served: Served) -> None:
 
 
 def test_two_lines_that_reach_equally_far_are_both_seen(visit: Visit, served: Served) -> None:
-    """Each piece of either reaches from -1 to 1 mm; their means lie apart."""
+    """Each piece of either reaches from -1 to 1 mrad; their means lie apart."""
 
     def as_wide(route: Route) -> None:
         found = route.fetch()
         answer = found.json()
-        for name, mean in (("raw_y_mm.main", -0.5), ("y_mm.main", 0.5)):
+        for name, mean in (("rx_rad", -0.5), ("ry_rad", 0.5)):
             for part, value in (("min", -1.0), ("mean", mean), ("max", 1.0)):
-                answer["series"][name][part] = [value] * len(answer["t"])
+                answer["series"].get(name, {})[part] = [value / 1000.0] * len(answer["t"])
         route.fulfill(response=found, json=answer)
 
     visit.page.route("**/api/series*", as_wide)
     visit.show(*whole(served))
-    panel = visit.panel("single_y")
+    visit.page.get_by_role("checkbox", name="Rig rotation").check()
+    visit.settle()
+    panel = visit.panel("rotation")
+    panel.locator(".plot").scroll_into_view_if_needed()
     box = panel.locator(".over").bounding_box()
-    for hue, place in ((1, 0.75), (0, 0.25)):
+    for hue, place in ((0, 0.75), (1, 0.25)):
         places = panel.evaluate(LINE_PLACES.replace("--line-0", f"--line-{hue}"))
         there = {round(x) for x, y in places if abs(y / box["height"] - place) < 0.1}
         assert len(there) > 0.9 * box["width"], f"line {hue}"

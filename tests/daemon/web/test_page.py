@@ -119,6 +119,12 @@ class TestSlot:
         visit.go(f"/slot/{slot_text(served.record.suspect - MINUTE)}")
         expect(notice).to_have_count(0)
 
+    def test_its_numbers_fit_on_a_phone(self, browser: Browser, served: Served) -> None:
+        with visiting(browser, served.url, **PHONE) as visit:
+            visit.go(f"/slot/{slot_text(served.record.last)}")
+            table = visit.page.locator("#slot .scroll").first
+            assert table.evaluate("node => node.scrollWidth - node.clientWidth") == 0
+
     def test_previous_and_next_go_from_row_to_row(self, visit: Visit, served: Served) -> None:
         visit.go(f"/slot/{slot_text(served.record.last)}")
         slot = visit.page.locator("#slot")
