@@ -28,12 +28,13 @@ from core.rig.calibrated_site import Baseline, CalibratedSite
 from core.rig.calibrated_target import CalibratedTarget
 from core.rig.closure import close, gains_of, joint_shifts
 from core.rig.compensation import SeenTarget, remaining_shifts
-from core.rig.datum import Travel, through_fixed_targets
+from core.rig.datum import through_fixed_targets
 from core.rig.posterior import Posterior
 from core.rig.reference_errors import ReferenceErrors
 from core.rig.reference_places import errors_at_reference
 from core.rig.rigid import Rig
 from core.rig.stability import Term
+from core.rig.travel import Travel
 from core.site import (
     MAIN,
     CameraGeometry,

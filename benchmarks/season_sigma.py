@@ -42,14 +42,9 @@ from core.site import (
     StabilityBudget,
     TargetRole,
 )
-from daemon.datum.candidates import (
-    Known,
-    NewReference,
-    SeenRow,
-    by_fixed_targets,
-    by_old_calibration,
-)
+from daemon.datum.candidates import by_fixed_targets, by_old_calibration
 from daemon.datum.chain import offset_by, origin
+from daemon.datum.seen import Known, NewReference, SeenRow
 from daemon.slots.measuring import ActiveCalibration
 from daemon.store.records import DatumRecord
 from daemon.store.rows.datum import in_record_zero
@@ -213,7 +208,7 @@ def _seen_row(world: World, t_utc: datetime, site: Site, by: Calibration) -> See
     pair, moment = _pair(world, t_utc)
     found = measure_pair(*pair, site, by, moment=moment)
     assert found.corrected is not None
-    return SeenRow(t_utc, found.corrected, 1, motion=found.motion)
+    return SeenRow(t_utc, found.corrected, 1, motion=found.motion, closure=found.closure)
 
 
 def _zero(

@@ -161,9 +161,9 @@ def reduce_to_shift(normal: FloatArray, information: FloatArray) -> bool:
 
 
 def residual_noise(figures: FloatArray, parameters: int) -> FloatArray:
-    """Root mean square residual per point, DN; rounding to whole values is its floor."""
+    """Root mean square residual per point, DN; rounding to whole values is in it, and its floor."""
     freedom = np.maximum(figures[:, 1] - parameters, 1.0)
-    return np.sqrt(figures[:, 0] / freedom + _ROUNDING_DN2)
+    return np.sqrt(np.maximum(figures[:, 0] / freedom, _ROUNDING_DN2))
 
 
 def covariances(information: FloatArray, noise: FloatArray, ok: BoolArray) -> FloatArray:

@@ -31,7 +31,7 @@ from core.rig.calibrated_target import CalibratedTarget
 from core.rig.compensation import affine
 from core.rig.paper import PaperModel, fit_paper
 from core.rig.posterior import Posterior
-from core.rig.propagation import DISC_FLOOR_PX, expected_effects, predict_shift
+from core.rig.propagation import expected_effects, predict_shift
 from core.rig.rigid import MainView, Rig
 from core.site import Site
 
@@ -220,7 +220,7 @@ def main_view(discs: Discs, reference: Discs) -> MainView | None:
 
 def disc_sigmas_px(discs: Discs) -> FloatArray:
     """(n,) 1 sigma of a coordinate of each disc; 0 where it was not found."""
-    variance = np.trace(discs.covariance_px2, axis1=1, axis2=2) / 2.0 + DISC_FLOOR_PX**2
+    variance = np.trace(discs.covariance_px2, axis1=1, axis2=2) / 2.0
     return np.asarray(np.where(discs.found, np.sqrt(variance), 0.0))
 
 

@@ -129,7 +129,7 @@ def _noise_of_sample(
     sides = np.where((state[:, GAIN] > 0.0)[:, None, None], sides, sides[:, ::-1])
     enough = (sides[:, :, 0] >= _FEWEST_FLAT).all(axis=1)
     if enough.sum() < _FEWEST_CORNERS:
-        variance = float(np.median(figures[:, 0] / figures[:, 1])) + _ROUNDING_DN2
+        variance = max(float(np.median(figures[:, 0] / figures[:, 1])), _ROUNDING_DN2)
         return GreyNoise.constant(variance), float(np.sqrt(variance))
     means = sides[enough, :, 1:] / sides[enough, :, :1]
     greys, variances = np.median(means[:, :, 0], axis=0), np.median(means[:, :, 1], axis=0)

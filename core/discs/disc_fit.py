@@ -8,7 +8,7 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray
 from core.discs.disc_kernels import DISC_PARAMETERS, Pixels, fit_discs
-from core.grey_fit import covariances, residual_noise
+from core.grey_fit import MIN_PIXELS, covariances, residual_noise
 
 _NARROW_PX, _NARROW_BLURS = 2.0, 3.0
 """Half the width of the last ring, px. Beyond 2 px plus 3 blur widths erf is flat: a pixel there
@@ -38,8 +38,15 @@ _MODEL_SHARE = 5e-4
 (2.5e-4, 16 bits). Real noise, also of a mean of eight images, is several times as much."""
 _LEAST_NOISE_DN = 0.3
 """Rounding to whole values alone: sqrt(1 / 12)."""
+_SAMPLING_PX, _SAMPLING_DECAY = 0.0183, 10.7
+"""Error of a place, px, that pixels too wide for a sharp lens make: 0.0183 exp(-10.7 blur^2) /
+sqrt(radius). Measured on drawn discs without noise, radii of 8 to 40 px, blurs (the pixel's own
+width in them) of 0.36 to 0.67 px: right to a third. It falls as a Gaussian's image of the
+sampling frequency does."""
 _BLUR = 11
 """Index of the blur among the parameters."""
+_NOISE = [1, 3]
+"""Of the limits of `fit_discs`: in black and in white."""
 _GEOMETRY = np.array([0, 1, 2, 3, 4, _BLUR])
 """The parameters in px: place, outline, blur."""
 _TURNS = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
@@ -53,7 +60,7 @@ class DiscFits:
     points_px: FloatArray
     """(n, 2) centres of the outlines."""
     covariance_px2: FloatArray
-    """(n, 2, 2)."""
+    """(n, 2, 2) from the noise of the grey values, and from their sampling."""
     usable: BoolArray
     """(n,)."""
     outline_px: FloatArray
@@ -86,16 +93,16 @@ def locate_discs(
     points = np.ascontiguousarray(points_px, dtype=float)
     n = len(points)
     state = _start(pixels, points, outline_px)
-    information, figures = np.zeros((n, 2, 2)), np.zeros((n, 5))
+    information, figures = np.zeros((n, 2, 2)), np.zeros((n, 9))
     wide = _wide_px(state)
     every = np.maximum(1, 2.0 * np.pi * (state[:, 2] + state[:, 4]) * wide / _COARSE_PIXELS)
     every = every.astype(np.int64)
-    limits = np.array([saturation_dn, 0.0, _NEARLY_PX])
+    limits = np.array([saturation_dn, 0.0, _NEARLY_PX, 0.0])
     fit_discs(pixels, points, wide, every, limits, _COARSE_STEPS, state, information, figures)
     every[:], limits[2] = 1, _SETTLED_PX
     ok = figures[:, 4] > 0
     for _ in range(_ROUNDS):
-        before, limits[1] = state.copy(), _least_noise_dn(state, figures, ok)
+        before, limits[_NOISE] = state.copy(), _least_noise_dn2(state, figures, ok)
         reach = np.minimum(_wide_px(state), _NARROW_PX + _NARROW_BLURS * state[:, _BLUR])
         state[~ok, 2:5] = 0.0
         fit_discs(
@@ -104,13 +111,15 @@ def locate_discs(
         )  # fmt: skip
         ok = ok & (figures[:, 4] > 0)
         moved = np.abs(state - before)[ok][:, _GEOMETRY]
-        same_noise = abs(_least_noise_dn(state, figures, ok) - limits[1]) < _SAME_NOISE * limits[1]
+        change = np.abs(_least_noise_dn2(state, figures, ok) - limits[_NOISE])
+        same_noise = (change < 2.0 * _SAME_NOISE * limits[_NOISE]).all()
         if same_noise and (moved < _SETTLED_PX).all():
             break
-    noise = residual_noise(figures, DISC_PARAMETERS)
+    # A place is read half-way between black and white; of the ring less than half is white.
+    noise = np.sqrt(_noise_dn2(figures).mean(axis=1))
     return DiscFits(
         points + state[:, :2],
-        covariances(information, noise, ok),
+        covariances(information, noise, ok) + _sampling_px2(state)[:, None, None] * np.eye(2),
         ok,
         np.stack([state[:, 2:4], state[:, 3:5]], axis=1),
         noise,
@@ -120,13 +129,37 @@ def locate_discs(
     )
 
 
-def _least_noise_dn(state: FloatArray, figures: FloatArray, ok: BoolArray) -> float:
-    """Noise of the quietest disc, DN: what something lies on must not call itself noisy."""
-    noise = residual_noise(figures, DISC_PARAMETERS)
+def _noise_dn2(figures: FloatArray) -> FloatArray:
+    """Noise (n, 2) in black and in white, DN^2: as the residuals off the edge share it.
+
+    Its level is that of all residuals: where the model fits an edge badly that counts as noise.
+    """
+    whole = residual_noise(figures, DISC_PARAMETERS)[:, None] ** 2
+    squares, weights = figures[:, 5::2], figures[:, 6::2]
+    sides = np.maximum(squares / np.maximum(weights, 1.0), _LEAST_NOISE_DN**2)
+    over_ring = (weights * sides).sum(axis=1) / np.maximum(weights.sum(axis=1), 1.0)
+    share = sides / np.maximum(over_ring, _LEAST_NOISE_DN**2)[:, None]
+    enough = weights.min(axis=1, keepdims=True) >= MIN_PIXELS
+    return np.asarray(np.where(enough, share, 1.0) * whole)
+
+
+def _least_noise_dn2(state: FloatArray, figures: FloatArray, ok: BoolArray) -> FloatArray:
+    """Noise (2,) of the quietest disc in black and in white, DN^2.
+
+    What something lies on must not call itself noisy.
+    """
     if not ok.any():
-        return 1.0
+        return np.ones(2)
     model_dn = _MODEL_SHARE * float(np.median(np.abs(state[ok, 8])))
-    return max(float(np.min(noise[ok])), model_dn, _LEAST_NOISE_DN)
+    least_dn2 = max(model_dn, _LEAST_NOISE_DN) ** 2
+    return np.asarray(np.maximum(_noise_dn2(figures)[ok].min(axis=0), least_dn2))
+
+
+def _sampling_px2(state: FloatArray) -> FloatArray:
+    """Variance (n,) of each coordinate of a place, px^2, by where the pixels lie on the outline."""
+    radius = np.maximum(0.5 * (state[:, 2] + state[:, 4]), 1.0)
+    sigma = _SAMPLING_PX * np.exp(-_SAMPLING_DECAY * state[:, _BLUR] ** 2)
+    return np.asarray(sigma**2 / radius)
 
 
 def _wide_px(state: FloatArray) -> FloatArray:

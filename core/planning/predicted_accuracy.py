@@ -25,7 +25,6 @@ from core.planning.planned_site import CalibrationPlan, PlannedSite
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.posterior import Posterior, Sensitivities
 from core.rig.propagation import (
-    DISC_FLOOR_PX,
     DiscCombination,
     mean_of,
     predict_shift_of,
@@ -153,11 +152,10 @@ def predict_row(planned: PlannedSite, calibrated: CalibratedSite, motion: Pose) 
     sensitivities, by_pose = shift_sensitivities(calibrated, [shift], pose, view, root)
     jacobian = root @ pose_jacobian(calibrated.lens, pose, calibrated.corners_mm[view.index])[1]
     flat = jacobian.reshape(-1, 6)
-    each_px2 = pair.discs.covariance_px2[which] + DISC_FLOOR_PX**2 * np.eye(2)
     return PredictedRow(
         sensitivities,
         by_pose @ np.linalg.solve(flat.T @ flat, by_pose.T),
-        each_px2.mean(axis=0) / len(which),
+        pair.discs.covariance_px2[which].mean(axis=0) / len(which),
         np.linalg.inv(calibrated.B),
     )
 

@@ -16,7 +16,6 @@ from core.results import Displacement, RigMotion
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.calibrated_target import CalibratedTarget
 from core.rig.propagation import (
-    DISC_FLOOR_PX,
     DiscCombination,
     block_diagonal,
     mean_of,
@@ -184,7 +183,7 @@ def _disc_noise(
 
     What the reference's noise makes them scatter does not count.
     """
-    each = discs.covariance_px2[shift.which] + DISC_FLOOR_PX**2 * np.eye(2)
+    each = discs.covariance_px2[shift.which]
     predicted = np.einsum("k,kab->ab", shift.weights**2, each)
     n = len(shift.which)
     spread_px2 = shift.scatter_px**2 / (n - 2)

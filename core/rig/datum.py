@@ -13,13 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import FloatArray
-from core.geometry.pose import Pose
 from core.results import Displacement
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.calibrated_target import CalibratedTarget
 from core.rig.reference_errors import Gains
-from core.rig.rigid import Rig
 from core.rig.stability import main_scale
+from core.rig.travel import Travel
 from core.site import Site
 
 _UNKNOWN_PX, _UNKNOWN_TURN = 1e5, 1.0
@@ -55,24 +54,6 @@ class Moved:
     gains: Gains
     """What is taken off it for each target's shift (mm), turn and scale at the new reference, but
     for its own shift; at the old one the same, with the opposite sign."""
-
-
-@dataclass(frozen=True, slots=True)
-class Travel:
-    """How the main camera has moved across its line of sight between two references."""
-
-    mm: FloatArray
-    """(2,) along its x and y, as it turns points: `T_CM2_CM1`."""
-    sigma_mm: float
-
-
-def travel_by(old: CalibratedSite, motion: Pose, sigma_mm: float) -> Travel | None:
-    """What a rig motion `T_CS2_CS1` since the old reference says; None without a rigid model."""
-    if not isinstance(old.model, Rig):
-        return None
-    T_CM_CS = old.model.T_CM_CS
-    T_CM2_CM1 = T_CM_CS.compose(motion).compose(T_CM_CS.inverse())
-    return Travel(T_CM2_CM1.t_mm[:2], sigma_mm)
 
 
 def through_fixed_targets(

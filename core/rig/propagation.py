@@ -19,8 +19,6 @@ from core.rig.posterior import Sensitivities
 from core.rig.rigid import Rig, motion_by_pose, motion_by_reference
 from core.site import CameraGeometry
 
-DISC_FLOOR_PX = 0.0007
-"""1 sigma that a located disc has at least, however low the noise. Insensitive."""
 _PROBE_PX = 100.0
 """Over which the derivative of the image by a target's place is taken; the map is nearly linear."""
 MAIN_GEOMETRY_SHARE = 5e-5
@@ -257,12 +255,13 @@ def expected_sensitivities(
 ) -> tuple[Sensitivities, FloatArray]:
     """What a row would have after this rig motion: effects, and the image noise (2, 2) px^2.
 
-    Of the main target; the discs all count alike.
+    Of the main target; the discs all count alike, and are as noisy as in the reference.
     """
     target = calibrated.main_target
     sensitivities, by_pose, noise = _expected(calibrated, [target], camera, motion)
-    discs = int(np.isfinite(target.reference_px).all(axis=1).sum())
-    return sensitivities, by_pose @ noise @ by_pose.T + 2.0 * DISC_FLOOR_PX**2 / discs * np.eye(2)
+    seen = calibrated.posterior.discs[np.isfinite(target.reference_px).all(axis=1)]
+    discs_px2 = np.einsum("kar,kbr->ab", seen, seen) / len(seen) ** 2
+    return sensitivities, by_pose @ noise @ by_pose.T + discs_px2
 
 
 def expected_effects(

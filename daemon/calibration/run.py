@@ -19,7 +19,7 @@ from core.errors import CalibrationError, ImageError
 from core.images import GreyImage, require_size
 from core.site import CameraGeometry, Site
 from daemon.config.reading import Config
-from daemon.datum.candidates import NewReference
+from daemon.datum.seen import NewReference
 from daemon.slots.identity import made_by
 from daemon.slots.measuring import row_moment
 from daemon.store.database import Store

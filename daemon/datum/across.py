@@ -10,9 +10,10 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.results import Displacement
-from daemon.datum.candidates import SeenRow, mean_gains
+from daemon.datum.candidates import mean_gains
 from daemon.datum.chain import weighted_mean
 from daemon.datum.movement import movement_sigma_mm
+from daemon.datum.seen import SeenRow
 from daemon.store.records import DatumMethod, DatumStep
 from daemon.text import span_text
 

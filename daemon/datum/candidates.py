@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime
 from types import MappingProxyType
 
 import numpy as np
 
 from core.arrays import FloatArray
-from core.calibration.calibrate import Calibration
-from core.geometry.pose import Pose
-from core.images import GreyImage
-from core.moment import Moment
-from core.results import Displacement, Flag, Measurement, RigMotion, gains_for
+from core.results import Displacement, Flag, Measurement, gains_for
 from core.rig.calibrated_site import CalibratedSite
-from core.rig.datum import Travel, through_fixed_targets, travel_by
+from core.rig.datum import through_fixed_targets
 from core.rig.reference_errors import Gains, ReferenceErrors
 from core.site import MAIN, Site, TargetRole
 from daemon.datum.chain import NOTHING, offset_by
-from daemon.datum.movement import drift_share, drift_sigma_mm, movement_sigma_mm
-from daemon.slots.measuring import ActiveCalibration, ImagePair, measure
+from daemon.datum.movement import movement_sigma_mm
+from daemon.datum.pair_travel import pair_travel
+from daemon.datum.seen import Known, NewReference, SeenRow
+from daemon.slots.measuring import ImagePair, measure
 from daemon.store.records import DatumMethod, DatumRecord, DatumStep
 from daemon.text import span_text, utc_text
 from drivers.genicam.serial_number import is_same_serial
@@ -34,62 +32,9 @@ cent, one lens calibrated again by a fifth of that, and warmth changes less."""
 _SAME_PX = 0.1
 """Of all discs, of references taken at one time: adjustments move the discs of one image by some
 hundredths, and only simulated time comes twice."""
-_LEAST_TRAVEL_MM = 0.1
-"""1 sigma, at least, of how the pair has moved by its last row. Chosen: somebody has worked on it
-since; between targets 1 % apart in distance it is 0.001 mm."""
 _CAMERAS: Mapping[Role, str] = MappingProxyType({"main": "main camera", "sub": "sub-camera"})
 _CENTRE_PX = 5.0
 """Of the principal point. Chosen: a lens screwed in again comes back to some ten pixels."""
-
-
-@dataclass(frozen=True, slots=True)
-class Known:
-    """A calibration that is in the record."""
-
-    active: ActiveCalibration
-    reference_utc: datetime
-    """When its reference was taken; when it was made, where that is not known."""
-    serials: Mapping[Role, str] = field(default_factory=dict)
-    """Of the cameras that took it, as far as they are known."""
-
-    @property
-    def id(self) -> int:
-        """Its number."""
-        assert self.active.id is not None  # noqa: S101 - it is stored
-        return self.active.id
-
-
-@dataclass(frozen=True, slots=True)
-class NewReference:
-    """The reference of a calibration that is not stored yet."""
-
-    slot_utc: datetime
-    main: GreyImage | None
-    sub: GreyImage
-    calibration: Calibration
-    moment: Moment | None
-    """How warm the rig was then."""
-    lens_views_utc: datetime | None
-    """When the board was last in somebody's hand, by the lens views."""
-    serials: Mapping[Role, str] = field(default_factory=dict)
-    """Of the cameras that took it, as far as they are known."""
-    errors: ReferenceErrors | None = None
-    """What the noise of its images does to all that is measured from it."""
-
-
-@dataclass(frozen=True, slots=True)
-class SeenRow:
-    """One row of the record, or a `measure` row of the old frame set."""
-
-    slot_utc: datetime
-    displacement: Displacement
-    """From its own calibration's reference."""
-    calibration_id: int | None
-    targets: tuple[tuple[str, Displacement], ...] = ()
-    motion: RigMotion | None = None
-    """Since the reference of its calibration."""
-    gains: Mapping[str, Gains] | None = None
-    """By target: what of its fixed targets' values was taken off; None: not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +115,7 @@ def by_fixed_targets(
     By the last rows the pair's own travel since the old reference is known, and so its parallax.
     """
     old, now = known.active.calibration.calibrated, new.calibration.calibrated
-    moved = through_fixed_targets(old, now, site, _travel(known, new, site, rows))
+    moved = through_fixed_targets(old, now, site, pair_travel(known, new, site, rows))
     if moved is None or MAIN not in moved:
         return None
     before = {target.name for target in old.further if target.is_fixed}
@@ -180,27 +125,6 @@ def by_fixed_targets(
     step = DatumStep(DatumMethod.FIXED_TARGETS, known.id, main, offsets, gains, gains)
     words = f"through the fixed target{'s' if len(names) > 1 else ''} {', '.join(names)}"
     return candidate(step, known.active.datum, words, errors=new.errors)
-
-
-def _travel(known: Known, new: NewReference, site: Site, rows: Sequence[SeenRow]) -> Travel | None:
-    """How the main camera has moved since the old reference, by its last row."""
-    own = [row for row in rows if row.calibration_id == known.id and row.motion is not None]
-    motions = [row.motion for row in own if row.motion is not None]
-    if not motions:
-        return None
-    gap_s = (new.slot_utc - own[-1].slot_utc).total_seconds()
-    drift_mm = drift_sigma_mm(
-        np.array([row.slot_utc.timestamp() for row in own]),
-        np.array([motion.translation_mm for motion in motions]),
-        gap_s,
-    )
-    limit_mm = site.quality.expected_drift_mm
-    if drift_mm is None:
-        drift_mm = np.array([limit_mm * drift_share(gap_s)])
-    axis_mm = float(np.sqrt((drift_mm**2).mean()))
-    sigma_mm = min(limit_mm, max(_LEAST_TRAVEL_MM, axis_mm))
-    last = Pose.from_vectors(motions[-1].rotation_rad, motions[-1].translation_mm)
-    return travel_by(known.active.calibration.calibrated, last, sigma_mm)
 
 
 def measured_targets(measured: Measurement) -> list[tuple[str, Displacement]]:

@@ -15,9 +15,6 @@ from core.rig.reference_places import errors_at_reference
 from core.site import MAIN, Site
 from daemon.datum.candidates import (
     Candidate,
-    Known,
-    NewReference,
-    SeenRow,
     by_fixed_targets,
     by_old_calibration,
     by_rows,
@@ -28,6 +25,7 @@ from daemon.datum.candidates import (
     measured_targets,
 )
 from daemon.datum.chain import offset_by, origin, targets_by
+from daemon.datum.seen import Known, NewReference, SeenRow
 from daemon.slots.measuring import (
     ActiveCalibration,
     PairFiles,
@@ -187,6 +185,7 @@ def stored_rows(store: Store, since_utc: datetime, until_utc: datetime) -> Itera
                 tuple(measured_targets(row.measurement)),
                 row.measurement.motion,
                 gains_of(row.measurement),
+                row.measurement.closure,
             )
 
 
@@ -206,7 +205,9 @@ def _measured_rows(
         if measured.flag is Flag.GOOD and measured.corrected is not None:
             targets = tuple(measured_targets(measured))
             motion, gains = measured.motion, gains_of(measured)
-            yield SeenRow(row.slot_utc, measured.corrected, known.id, targets, motion, gains)
+            yield SeenRow(
+                row.slot_utc, measured.corrected, known.id, targets, motion, gains, measured.closure
+            )
 
 
 def _files(directory: Path, row: FrameSetRow) -> PairFiles:

@@ -33,7 +33,7 @@ def test_two_thirds_of_the_errors_are_within_one_sigma(pooled: tuple[Figures, Fi
     """Pooled over sites, sigma is what it says."""
     rows, _ = pooled
     assert 0.60 < rows.within_1 < 0.76
-    assert rows.within_2 > 0.93
+    assert rows.within_2 > 0.92  # of 240 values, 24 to a calibration; of 40 sites 0.95
     assert 0.88 < rows.whitened_rms < 1.15
 
 

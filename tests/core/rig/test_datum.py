@@ -10,9 +10,10 @@ from core.arrays import FloatArray
 from core.geometry.pose import Pose
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.calibrated_target import CalibratedTarget
-from core.rig.datum import through_fixed_targets, travel_by
+from core.rig.datum import through_fixed_targets
 from core.rig.propagation import predict_shift_of
 from core.rig.rigid import Rig
+from core.rig.travel import travel_by
 from core.site import CirclesTarget, ExtraTarget, Site, TargetRole
 from tests.core.scenes import CENTRES_MM
 from tests.core.sessions import Session

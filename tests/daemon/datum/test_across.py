@@ -10,7 +10,7 @@ import numpy as np
 from core.arrays import FloatArray
 from core.results import Displacement
 from daemon.datum.across import by_rows_across, replacing
-from daemon.datum.candidates import SeenRow
+from daemon.datum.seen import SeenRow
 from daemon.store.records import DatumMethod, DatumStep
 
 NOON = datetime(2026, 6, 1, 12, tzinfo=UTC)

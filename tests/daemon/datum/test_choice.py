@@ -18,9 +18,6 @@ from core.site import CirclesTarget, ExtraTarget, TargetRole
 from daemon.config.reading import load_config
 from daemon.datum.candidates import (
     Candidate,
-    Known,
-    NewReference,
-    SeenRow,
     by_fixed_targets,
     by_rows,
     candidate,
@@ -30,6 +27,7 @@ from daemon.datum.candidates import (
 )
 from daemon.datum.chain import origin
 from daemon.datum.choice import choose, judged
+from daemon.datum.seen import Known, NewReference, SeenRow
 from daemon.slots.measuring import ActiveCalibration
 from daemon.store.database import open_store_readonly
 from daemon.store.records import DatumMethod, DatumStep
