@@ -197,7 +197,7 @@ def test_a_monte_carlo_of_the_model_agrees_with_the_budget(
     else:
         found, terms = measured(usual, stable=False)
         budget = row_budget(usual.site, usual.calibration.calibrated, state_of(found), terms)
-    drawn = monte_carlo(budget, 1000, np.random.default_rng(5))
+    drawn = monte_carlo(budget, 3000, np.random.default_rng(5))
     assert drawn is not None
     assert drawn.agrees, drawn.ratio
     assert drawn.interval_ratio == pytest.approx(1.0, abs=0.1)
