@@ -37,7 +37,7 @@ from daemon.store.verification import (
 )
 
 if TYPE_CHECKING:  # the numerics are loaded by who rebuilds rows
-    from daemon.slots.rebuilding import Rebuilt
+    from daemon.slots.rebuilding import Compared, Rebuilt
 
 
 @click.command("verify", epilog="\b\nExample:\n  dcam-ctl verify --since 30d")
@@ -114,19 +114,27 @@ def _what_was_looked_at(counted: Counted) -> Iterator[str]:
 
 def _what_was_rebuilt(rebuilt: Rebuilt) -> Iterator[str]:
     yield f"{rebuilt.rows} rows made once more from their frames and compared to the last bit"
-    if rebuilt.other_rows:
-        text = (
-            f"{rebuilt.other_rows} rows of other numerics (another version of dcam or of its "
-            f"libraries, or another processor) made once more: {rebuilt.other_differing} come out "
-            "otherwise now"
+    if rebuilt.other.rows:
+        kind = (
+            "of other numerics (another version of dcam or of its libraries, or another processor)"
         )
-        if rebuilt.other_differing:
-            text += f", by {rebuilt.other_largest_mm:.2g} mm at most"
-        if rebuilt.other_flags:
-            text += f", {rebuilt.other_flags} with another flag or reason"
-        yield text
+        yield _what_was_compared(rebuilt.other, kind)
+    if rebuilt.redated.rows:
+        kind = "that a wrong clock had dated, and measured as of its time,"
+        yield _what_was_compared(rebuilt.redated, kind)
     if rebuilt.skipped:
         yield f"{rebuilt.skipped} rows passed over: of another config, or without calibration"
+
+
+def _what_was_compared(compared: Compared, kind: str) -> str:
+    text = (
+        f"{compared.rows} rows {kind} made once more: {compared.differing} come out otherwise now"
+    )
+    if compared.differing:
+        text += f", by {compared.largest_mm:.2g} mm at most"
+    if compared.flags:
+        text += f", {compared.flags} with another flag or reason"
+    return text
 
 
 def _rebuild(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any
 
@@ -25,38 +25,47 @@ from daemon.times import EPOCH, slot_text
 
 
 @dataclass(slots=True)
+class Compared:
+    """Rows of which a difference is counted, and is no finding."""
+
+    rows: int = 0
+    differing: int = 0
+    flags: int = 0
+    """Of these, with another flag or other reasons."""
+    largest_mm: float = 0.0
+    """The largest difference of a corrected value."""
+
+    def add(self, stored: MeasurementRecord, made: MeasurementRecord) -> None:
+        """Count a row."""
+        self.rows += 1
+        if not _differing(stored, made):
+            return
+        self.differing += 1
+        before, now = stored.measurement, made.measurement
+        if (before.flag, before.reasons) != (now.flag, now.reasons):
+            self.flags += 1
+        if before.corrected is not None and now.corrected is not None:
+            change_mm = now.corrected.mm - before.corrected.mm
+            self.largest_mm = max(self.largest_mm, float(np.abs(change_mm).max()))
+
+
+@dataclass(slots=True)
 class Rebuilt:
     """How many rows were made once more, and how many could not be."""
 
     rows: int = 0
     """Made by these numerics (`made_by`): compared to the last bit."""
-    other_rows: int = 0
-    """Made by other numerics: their differences are counted, and are no findings."""
-    other_differing: int = 0
-    other_flags: int = 0
-    """Of these, with another flag or other reasons."""
-    other_largest_mm: float = 0.0
-    """The largest difference of a corrected value among the others."""
+    other: Compared = field(default_factory=Compared)
+    """Made by other numerics."""
+    redated: Compared = field(default_factory=Compared)
+    """Measured as of the time of a wrong clock, among other rows before; now as of the true one."""
     skipped: int = 0
     """Of another config, without frames, or of a calibration that cannot be read."""
 
     @property
     def all_rows(self) -> int:
         """How many were made once more."""
-        return self.rows + self.other_rows
-
-    def add_other(self, stored: MeasurementRecord, made: MeasurementRecord) -> None:
-        """Count a row of other numerics."""
-        self.other_rows += 1
-        if not _differing(stored, made):
-            return
-        self.other_differing += 1
-        before, now = stored.measurement, made.measurement
-        if (before.flag, before.reasons) != (now.flag, now.reasons):
-            self.other_flags += 1
-        if before.corrected is not None and now.corrected is not None:
-            change_mm = now.corrected.mm - before.corrected.mm
-            self.other_largest_mm = max(self.other_largest_mm, float(np.abs(change_mm).max()))
+        return self.rows + self.other.rows + self.redated.rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +83,7 @@ class Rebuilding:
         """Rebuild some rows at random, and give those that come out otherwise. Raises StoreError.
 
         A row of the same numerics, config, calibration and frames must be the same to the last
-        bit; one of other numerics is counted with its difference.
+        bit; one of other numerics, or that a wrong clock had dated, is counted with its difference.
         """
         slots = self.archive.stored_slots(since or EPOCH)
         random.SystemRandom().shuffle(slots)
@@ -88,11 +97,13 @@ class Rebuilding:
                 counted.skipped += 1
                 continue
             again = self._again(record, calibration, learner)
-            if record.version == made_by():
+            if record.version != made_by():
+                counted.other.add(record, again)
+            elif record.redated_from_utc is not None:
+                counted.redated.add(record, again)
+            else:
                 counted.rows += 1
                 yield from _differences(record, again)
-            else:
-                counted.add_other(record, again)
             tell(counted.all_rows, min(wanted, len(slots)))
 
     def _calibration(self, record: MeasurementRecord) -> ActiveCalibration | None:

@@ -102,6 +102,14 @@ def _assert_rows_can_be_made_once_more(ctl: Ctl, directory: Path) -> None:
         assert f"row: {row['slot_utc']}: made from its frames once more it differs in y_mm" in (
             ran.out
         )
+        hour_back = row["slot_utc"].replace("T0", "T1")
+        assert hour_back != row["slot_utc"]
+        _write(connection, row | {"y_mm": row["y_mm"] + 1e-3, "redated_from_utc": hour_back})
+        ran = ctl(*verify)
+        assert ran.code == 0, ran.out
+        assert "\n18 rows made once more from their frames" in ran.out
+        assert "\n1 rows that a wrong clock had dated" in ran.out
+        assert "1 come out otherwise now, by 0.001 mm at most\n" in ran.out
         _write(connection, row | {"y_mm": row["y_mm"] + 0.25, "version": "0.1.0+0badc0de"})
         ran = ctl(*verify)
         assert ran.code == 0, ran.out
@@ -114,7 +122,8 @@ def _write(connection: sqlite3.Connection, row: dict[str, object]) -> None:
     """Change a row past the program, with its checksum."""
     row["digest"] = row_digest("measurement", row)
     change = (
-        "UPDATE measurement SET y_mm = :y_mm, version = :version, digest = :digest WHERE id = :id"
+        "UPDATE measurement SET y_mm = :y_mm, version = :version, digest = :digest, "
+        "redated_from_utc = :redated_from_utc WHERE id = :id"
     )
     connection.execute(change, row)
     connection.commit()
