@@ -58,8 +58,17 @@ def wait_until_read(url: str) -> None:
 
 def rss_mb(process: int) -> float:
     """Memory of a process, files that it shares with others among it, MB."""
+    return _memory_mb(process, "VmRSS")
+
+
+def own_mb(process: int) -> float:
+    """Memory of a process without the files of its programs and libraries, MB."""
+    return _memory_mb(process, "RssAnon")
+
+
+def _memory_mb(process: int, what: str) -> float:
     text = Path(f"/proc/{process}/status").read_text(encoding="utf-8")
-    found = re.search(r"VmRSS:\s+(\d+)", text)
+    found = re.search(rf"{what}:\s+(\d+)", text)
     return int(found[1]) / 1024 if found else 0.0
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from prometheus_client.parser import text_string_to_metric_families
@@ -43,7 +44,8 @@ def asked(site: Site, cache: Path, host: str = "localhost:8080") -> tuple[int, d
         "server": None,
         "client": None,
     }
-    asyncio.run(app(scope, receive, send))
+    with ThreadPoolExecutor(1) as other:  # a browser of other tests has its loop in this thread
+        other.submit(asyncio.run, app(scope, receive, send)).result()
     start, *parts = messages
     headers = {name.decode(): text.decode() for name, text in start["headers"]}
     return start["status"], headers, b"".join(part["body"] for part in parts).decode()

@@ -45,9 +45,9 @@ def configured(directory: Path, pan_tilt: str) -> list[str]:
     """A simulated site whose head is at the port; the arguments that name it."""
     config = directory / "dcam.toml"
     simulation = f'[simulation]\nhead_angles = "{directory}/angles"'
-    config.write_text(
-        f'{SITE.read_text()}\n{simulation}\n[pan_tilt]\nport = "{directory}/head"\n{pan_tilt}\n'
-    )
+    limit = "[quality]\nmax_sigma_mm = 1.0"  # a sensor of few pixels: 0.35 mm expected
+    head = f'[pan_tilt]\nport = "{directory}/head"\n{pan_tilt}'
+    config.write_text(f"{SITE.read_text()}\n{limit}\n{simulation}\n{head}\n")
     return ["--config", str(config), "--state", str(directory / "state")]
 
 
