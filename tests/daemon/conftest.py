@@ -1,13 +1,14 @@
 """A small site on a stepped clock, with a pair source that follows a script."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
+from playwright.sync_api import Browser, sync_playwright
 
 from core.site import (
     CameraGeometry,
@@ -33,11 +34,23 @@ from daemon.store.frames.archive import FrameArchive
 from drivers.clock import SteppedClock
 from drivers.protocols import CapturedFrame, CapturedPair
 from tests.daemon.times import minute_of
+from tests.daemon.web.browsing import start_chromium
 from tests.shared import new_state
 
 START = datetime(2026, 3, 1, 11, 59, 30, tzinfo=UTC)
 SMALL = Rules(min_free_gb=0.0, reserve_mb=0)
 """Retention that a machine which is short of space does not bring into a test."""
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """Chromium: one for each process of the tests, whose thread can drive no second one."""
+    with sync_playwright() as playwright:
+        chromium = start_chromium(playwright)
+        yield chromium
+        chromium.close()
+
+
 SIZE = (48, 64)
 CAMERA = CameraGeometry(width_px=64, height_px=48, pixel_pitch_um=5.86, focal_length_mm=6.0)
 SITE = Site(

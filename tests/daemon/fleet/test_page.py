@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import expect, sync_playwright
+from playwright.sync_api import Browser, expect
 from starlette.applications import Starlette
 
 from benchmarks.page_server import serving
@@ -18,7 +18,7 @@ from daemon.web.fleet_app import FleetPage
 from tests.daemon.fleet.conftest import Pier, sync
 from tests.daemon.fleet.postgres import Proxy, Server
 from tests.daemon.fleet.test_commands import ctl, with_url
-from tests.daemon.web.browsing import start_chromium, visiting
+from tests.daemon.web.browsing import visiting
 from tests.laboratory import laboratory
 from tests.waiting import wait_for
 
@@ -29,6 +29,7 @@ def test_all_sites_are_a_list_a_map_and_each_its_record(
     server: Server,
     central: str,
     pier: Pier,
+    browser: Browser,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -45,8 +46,6 @@ def test_all_sites_are_a_list_a_map_and_each_its_record(
     centre.write_text(f'[fleet]\nurl = "{server.url(central)}"\n')
     with (
         serving(centre, None) as url,
-        sync_playwright() as playwright,
-        start_chromium(playwright) as browser,
         visiting(browser, url) as visit,
     ):
         visit.go("/")

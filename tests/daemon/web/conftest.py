@@ -1,4 +1,4 @@
-"""A browser, and dcam-web beside a record of two weeks; each process of the tests has its own."""
+"""dcam-web beside a record of two weeks; each process of the tests has its own."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser
 
 from benchmarks.page_record import FIRST, MINUTE, PageRecord, write_record
 from benchmarks.page_server import ROOT, serving, wait_until_read
@@ -16,7 +16,7 @@ from daemon.config.reading import load_config
 from daemon.store.database import open_store
 from daemon.store.ledger.entries import LedgerEntry, LedgerKind
 from daemon.times import slot_text
-from tests.daemon.web.browsing import WIDE, Visit, start_chromium, visiting
+from tests.daemon.web.browsing import WIDE, Visit, visiting
 
 SLOTS = 20_000
 """More than a figure has pixels, so that buckets are drawn."""
@@ -42,14 +42,6 @@ class Served:
 
 def whole(served: Served) -> tuple[str, str]:
     return slot_text(FIRST), slot_text(served.record.last + MINUTE)
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        chromium = start_chromium(playwright)
-        yield chromium
-        chromium.close()
 
 
 @pytest.fixture(scope="session")
