@@ -101,8 +101,9 @@ def locate_discs(
     fit_discs(pixels, points, wide, every, limits, _COARSE_STEPS, state, information, figures)
     every[:], limits[2] = 1, _SETTLED_PX
     ok = figures[:, 4] > 0
+    noise_dn2 = _least_noise_dn2(state, figures, ok)
     for _ in range(_ROUNDS):
-        before, limits[_NOISE] = state.copy(), _least_noise_dn2(state, figures, ok)
+        before, limits[_NOISE] = state.copy(), noise_dn2
         reach = np.minimum(_wide_px(state), _NARROW_PX + _NARROW_BLURS * state[:, _BLUR])
         state[~ok, 2:5] = 0.0
         fit_discs(
@@ -111,7 +112,8 @@ def locate_discs(
         )  # fmt: skip
         ok = ok & (figures[:, 4] > 0)
         moved = np.abs(state - before)[ok][:, _GEOMETRY]
-        change = np.abs(_least_noise_dn2(state, figures, ok) - limits[_NOISE])
+        noise_dn2 = _least_noise_dn2(state, figures, ok)
+        change = np.abs(noise_dn2 - limits[_NOISE])
         same_noise = (change < 2.0 * _SAME_NOISE * limits[_NOISE]).all()
         if same_noise and (moved < _SETTLED_PX).all():
             break

@@ -19,6 +19,10 @@ from core.rig.rigid import Rig
 
 IMAGE = 3
 """What a fixed target shows of a motion: its shift (2, px) and its turn (rad)."""
+_FAMILIAR = 3.0
+"""Spreads of the rows' images, within which a new one must lie to be believed."""
+_LEAST_FREEDOM = 0.1
+"""Of a row: what it alone decides is not divided by less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,3 +71,36 @@ def _image(points_px: FloatArray, moved: FloatArray) -> FloatArray:
     weights = np.full(len(points_px), 1.0 / len(points_px))
     turn = np.einsum("ka,kam->m", turn_and_scale_of(weights, points_px)[0], moved)
     return np.concatenate([moved.mean(axis=0), turn[None]])
+
+
+@dataclass(frozen=True, slots=True)
+class TravelByTurn:
+    """Travel by the image of a fixed target, along a straight line through rows."""
+
+    mm: FloatArray
+    """(2,) for the turn asked for."""
+    sigma_mm: FloatArray
+    """(2,) of it, by what is not known of the line."""
+    missed_mm: FloatArray
+    """(n, 2) what each row misses of the line through the others."""
+
+
+def travel_by_turn(
+    images: FloatArray, travels_mm: FloatArray, turned: FloatArray
+) -> TravelByTurn | None:
+    """How far a rig moves as a fixed target's image moves by `turned` (3,): least squares.
+
+    images (n, 3) as `image_between`, travels_mm (n, 2). None where the rows' images do not spread,
+    or not far enough: a camera that was replaced, or a lens, shifts the image by more.
+    """
+    spread = images.std(axis=0, ddof=1)
+    if not (np.abs(turned) < _FAMILIAR * spread).all():
+        return None
+    design = np.column_stack([np.ones(len(images)), (images - images.mean(axis=0)) / spread])
+    step = np.concatenate([[0.0], turned / spread])
+    inverse = np.linalg.pinv(design.T @ design)
+    slopes = inverse @ design.T @ travels_mm
+    leverage = np.einsum("ni,ij,nj->n", design, inverse, design)
+    missed_mm = (travels_mm - design @ slopes) / np.maximum(1.0 - leverage, _LEAST_FREEDOM)[:, None]
+    sigma_mm = np.sqrt(step @ inverse @ step) * missed_mm.std(axis=0)
+    return TravelByTurn(step @ slopes, sigma_mm, missed_mm)

@@ -9,7 +9,14 @@ import numpy as np
 from core.arrays import FloatArray
 from core.geometry.pose import Pose
 from core.rig.calibrated_site import CalibratedSite
-from core.rig.travel import IMAGE, Travel, image_between, motion_effects, travel_by
+from core.rig.travel import (
+    IMAGE,
+    Travel,
+    image_between,
+    motion_effects,
+    travel_by,
+    travel_by_turn,
+)
 from core.site import Site
 from daemon.datum.movement import drift_share, drift_sigma_mm
 from daemon.datum.seen import Known, NewReference, SeenRow
@@ -22,13 +29,6 @@ _LEAST_SEEN_MM = 0.03
 pair by more turns it too, by more than a fixed target's noise."""
 _FEWEST_ROWS = 8
 """That tell how a pair moves as it turns: twice the four unknowns of either axis."""
-_FAMILIAR = 3.0
-"""Spreads of the rows' images, within which the new one must lie to be believed: a camera that
-was replaced, or a lens, shifts it by more."""
-
-
-_LEAST_FREEDOM = 0.1
-"""Of a row: what it alone decides is not divided by less."""
 
 
 def pair_travel(
@@ -70,21 +70,14 @@ def _as_it_turned(old: CalibratedSite, new: NewReference, rows: Sequence[SeenRow
         return None
     images, travels = np.split(motions @ effects.T, [IMAGE], axis=1)
     images[:, :2] += np.array([row.closure.mm for row in rows if row.closure]) @ target.B.T
-    turned, spread = image_between(target, both[0]) - images[-1], images.std(axis=0, ddof=1)
-    if not (np.abs(turned) < _FAMILIAR * spread).all():
+    found = travel_by_turn(images, travels, image_between(target, both[0]) - images[-1])
+    if found is None:
         return None
-    design = np.column_stack([np.ones(len(rows)), (images - images.mean(axis=0)) / spread])
-    step = np.concatenate([[0.0], turned / spread])
-    inverse = np.linalg.pinv(design.T @ design)
-    slopes = inverse @ design.T @ travels
-    leverage = np.einsum("ni,ij,nj->n", design, inverse, design)
-    missed_mm = (travels - design @ slopes) / np.maximum(1.0 - leverage, _LEAST_FREEDOM)[:, None]
-    drift_mm = drift_sigma_mm(_times_s(rows), missed_mm, _gap_s(new, rows[-1]))
+    drift_mm = drift_sigma_mm(_times_s(rows), found.missed_mm, _gap_s(new, rows[-1]))
     if drift_mm is None:
         return None
-    slope_mm = np.sqrt(step @ inverse @ step) * missed_mm.std(axis=0)
-    parts_mm = np.array([_LEAST_SEEN_MM, _axis_mm(drift_mm), _axis_mm(slope_mm)])
-    return Travel(last.mm + step @ slopes, float(np.linalg.norm(parts_mm)))
+    parts_mm = np.array([_LEAST_SEEN_MM, _axis_mm(drift_mm), _axis_mm(found.sigma_mm)])
+    return Travel(last.mm + found.mm, float(np.linalg.norm(parts_mm)))
 
 
 def _times_s(rows: Sequence[SeenRow]) -> FloatArray:
