@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.signal import lfilter
 
 from core.arrays import FloatArray
 from core.results import Displacement, Flag, Measurement
@@ -31,6 +30,8 @@ _BEFORE_DAYS = 2
 
 def remembering(rng: np.random.Generator, n: int, sigma: float, memory: float) -> FloatArray:
     """(n,) Ornstein-Uhlenbeck noise with its memory in steps."""
+    from scipy.signal import lfilter
+
     left = np.exp(-1.0 / memory)
     noise = rng.normal(size=n) * sigma * np.sqrt(1.0 - left * left)
     noise[0] = rng.normal() * sigma
@@ -128,6 +129,8 @@ def _temperatures(
 
 def _first_order(values: FloatArray, lag_h: float) -> FloatArray:
     """Values of minutes behind a first-order lag; exact for lines from minute to minute."""
+    from scipy.signal import lfilter
+
     step = 1.0 / 60.0 / lag_h
     left = np.exp(-step)
     now = 1.0 - (1.0 - left) / step

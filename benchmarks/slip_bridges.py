@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from core.arrays import FloatArray
 from core.quality.row_series import Quantity, RowSeries
@@ -66,14 +65,21 @@ def relaxing(rng: np.random.Generator, n: int, minutes: float, size: float) -> F
     """An Ornstein-Uhlenbeck process (n, 2) of this time constant and standard deviation."""
     keep = np.exp(-1.0 / minutes)
     drawn = rng.standard_normal((n, 2)) * size * np.sqrt(1.0 - keep**2)
-    return np.asarray(lfilter([1.0], [1.0, -keep], drawn, axis=0))
+    return _adding_up(drawn, keep)
 
 
 def clouds(rng: np.random.Generator, n: int, every: float, minutes: float) -> FloatArray:
     """Warmth (n,) of steel when clouds come and go: steps of the sun, followed slowly."""
     light = np.cumsum(rng.random(n) < 1.0 / every) % 2
     keep = np.exp(-1.0 / minutes)
-    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], light.astype(float)))
+    return _adding_up((1.0 - keep) * light, keep)
+
+
+def _adding_up(drawn: FloatArray, keep: float) -> FloatArray:
+    """What is drawn (n, ...), and of what was there a step before so much."""
+    from scipy.signal import lfilter
+
+    return np.asarray(lfilter([1.0], [1.0, -keep], drawn, axis=0))
 
 
 def noise(rng: np.random.Generator, sigma_mm: FloatArray, factor: float = 1.0) -> FloatArray:
@@ -115,7 +121,7 @@ def traffic(rng: np.random.Generator, n: int) -> Motion:
     shape = np.array([0.2, 1.0])
     lorries = 0.3 * rng.standard_t(3, (n, 2)) * shape
     queues = relaxing(rng, n, 4.5, 0.4) * shape
-    train = lfilter([1.0, 1.0], [1.0], rng.random(n) < 0.02)[:, None] * np.array([0.3, -3.0])
+    train = np.convolve(rng.random(n) < 0.02, [1.0, 1.0])[:n, None] * np.array([0.3, -3.0])
     warmth = waves(rng, np.arange(float(n)), 5.0, 0.1)
     return _minutely(rng, _calm_rig(rng, n), warmth + lorries + queues + train)
 
@@ -158,7 +164,7 @@ def nights(rng: np.random.Generator, n: int) -> Motion:
     hour = motion.time_s / 3600.0 % 24.0
     lit = (hour > 5.0) & (hour < 19.0)
     dim = (hour < 7.0) | (hour > 17.0)
-    outage = lfilter(np.ones(30), [1.0], rng.random(m) < 1.0 / 3000.0) > 0.0
+    outage = np.convolve(rng.random(m) < 1.0 / 3000.0, np.ones(30))[:m] > 0.5
     sigma_mm = np.where(dim, 5.0, 1.0) * SIGMA_MM
     keep = np.flatnonzero(lit & ~outage)[:n]
     return Motion(

@@ -6,6 +6,7 @@ import os
 import sqlite3
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
 
 import click
@@ -82,6 +83,8 @@ def run(command: click.Command, program: str, arguments: Sequence[str] | None = 
     """
     argv = list(sys.argv[1:] if arguments is None else arguments)
     write_readably()
+    # What an older matplotlib of the system makes ours say: it cannot draw in three dimensions.
+    warnings.filterwarnings("ignore", "Unable to import Axes3D", UserWarning)
     try:
         result = command.main(args=argv, prog_name=program, standalone_mode=False)
     except BrokenPipeError:

@@ -160,17 +160,27 @@ class Forked:
 
 def traced(options: Sequence[str], module: str, *arguments: object, stderr: Stream = None) -> int:
     """How a program ends that runs with strace attached from its beginning."""
-    if not shutil.which("strace"):
-        pytest.skip("strace is not installed")
+    require_strace()
     with Program(module, *arguments, stderr=stderr, stopped=True) as program:
         command = ["strace", "-f", *options, "-p", str(program.pid)]
         with subprocess.Popen(command, stderr=PIPE, text=True) as strace:
             said = strace.stderr.readline()
             program.send_signal(signal.SIGCONT)
             code = program.wait()
+    require_attached(said)
+    return code
+
+
+def require_strace() -> None:
+    """Skip the test where there is none."""
+    if not shutil.which("strace"):
+        pytest.skip("strace is not installed")
+
+
+def require_attached(said: str) -> None:
+    """Skip the test where strace, by the first line that it said, may not trace."""
     if "attached" not in said:
         pytest.skip(f"strace may not trace here: {said}")
-    return code
 
 
 def _state(pid: int) -> str:

@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri, stdtrit
 
 from core.arrays import FloatArray
 from core.checkerboard.resection import BoardView
@@ -194,8 +194,8 @@ def coverage_factor(degrees_of_freedom: float) -> float:
     (2.0, 2.28)
     """
     if math.isinf(degrees_of_freedom):
-        return float(stats.norm.ppf(0.5 + 0.5 * COVERAGE))
-    return float(stats.t.ppf(0.5 + 0.5 * COVERAGE, degrees_of_freedom))
+        return float(ndtri(0.5 + 0.5 * COVERAGE))
+    return float(stdtrit(degrees_of_freedom, 0.5 + 0.5 * COVERAGE))
 
 
 def two_digits(value: float, expanded: float) -> tuple[str, str]:

@@ -13,7 +13,7 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy.special import bdtr, ndtr, ndtri
 
 from core.arrays import FloatArray, IntArray
 
@@ -214,9 +214,10 @@ def _correlation(ours_mm: FloatArray, theirs_mm: FloatArray) -> float | None:
 
 def _agrees(e_n: FloatArray) -> bool:
     """Whether not more, and none further, lie beyond 1 than chance lets expect of honest sigmas."""
-    outside = 2.0 * stats.norm.sf(COVERAGE_FACTOR)
-    allowed = stats.binom.ppf(1.0 - _CHANCE, len(e_n), outside)
-    furthest = stats.norm.isf(0.5 * _CHANCE / len(e_n)) / COVERAGE_FACTOR
+    outside = 2.0 * ndtr(-COVERAGE_FACTOR)
+    at_most = bdtr(np.arange(len(e_n) + 1), len(e_n), outside)
+    allowed = np.searchsorted(at_most, 1.0 - _CHANCE)
+    furthest = -ndtri(0.5 * _CHANCE / len(e_n)) / COVERAGE_FACTOR
     return bool((e_n > 1.0).sum() <= allowed and e_n.max() <= max(furthest, 1.0))
 
 

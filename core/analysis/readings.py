@@ -7,7 +7,7 @@ from enum import StrEnum
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
-from scipy.signal import lfilter
+from scipy.linalg.lapack import dtbtrs
 
 from core.analysis.binning import FINE_S, HOUR_S, Hours
 from core.arrays import FloatArray, IntArray
@@ -62,7 +62,7 @@ class _Course:
         change = np.diff(self.total(ends_s - shift_s))[:, 0]
         if kind is Lag.FIRST_ORDER:
             left = np.exp(-FINE_S / HOUR_S / lag_h)
-            lagged = lfilter([1.0 - left], [1.0, -left], self.values - self.before)
+            lagged = _first_order(left, self.values - self.before)
             ends = np.interp(ends_s, self.edges_s, np.append(0.0, lagged))
             change -= lag_h * HOUR_S * np.diff(ends)[:, 0]
         found: FloatArray = change / HOUR_S
@@ -110,6 +110,14 @@ def known_share(hours: Hours, channel: int) -> float:
     if not len(places):
         return 0.0
     return float(np.mean(_apart(places, len(hours.readings)) <= _NEAR))
+
+
+def _first_order(left: float, values: FloatArray) -> FloatArray:
+    """(n,) y[i] = left y[i - 1] + (1 - left) values[i], from rest: a band of equations."""
+    band = np.ones((2, len(values)))
+    band[1] = -left
+    found, _ = dtbtrs(band, (1.0 - left) * values[:, None], uplo="L")
+    return np.asarray(found[:, 0], dtype=np.float64)
 
 
 def _changes(values: FloatArray) -> FloatArray:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 from scipy.optimize import brentq
-from scipy.special import stdtr
+from scipy.special import stdtr, stdtrit
 
 from core.analysis.noise import (
     DAY_S,
@@ -125,7 +124,7 @@ def by_blocks(
         changes.append(-combination @ np.linalg.solve(normal - 0.5 * (gone + gone.T), score))
     value = float(combination @ fit.coefficients)
     sigma = float(np.sqrt((count - 1) / count * np.sum(np.square(changes))))
-    half = sigma * float(stats.t.ppf(0.5 + 0.5 * confidence, count - 1))
+    half = sigma * float(stdtrit(count - 1, 0.5 + 0.5 * confidence))
     return Interval(value, sigma, value - half, value + half)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtr, ndtri
 
 from core.analysis.noise import DAY_S, Noise, NoiseFit, fit_noise, gls
 from core.analysis.regression import (
@@ -33,7 +33,7 @@ one exceeds it in 17 years; the benchmark `analysis` counts."""
 DRIFT_THRESHOLD = 3.5
 """Standard deviations of the last months' slope at which it is a drift. Tried daily, slopes of 90
 days are some 20 independent ones a year, of which one exceeds it in 100 years."""
-_DRIFT_CONFIDENCE = float(1.0 - 2.0 * stats.norm.sf(DRIFT_THRESHOLD))
+_DRIFT_CONFIDENCE = float(1.0 - 2.0 * ndtr(-DRIFT_THRESHOLD))
 """The interval that must not hold 0."""
 DRIFT_DAYS = 90.0
 """What a drift is looked for in."""
@@ -221,7 +221,7 @@ class _Search:
             variance_mm2=fit.gls.variance_mm2,
         )
         step_sigma = 1.0 / np.sqrt(step_information(fit.whitening, without))
-        needed = threshold + float(stats.norm.ppf(0.9))
+        needed = threshold + float(ndtri(0.9))
         kept_s = self._times_s[self._keep]
         day = int(np.searchsorted(kept_s, kept_s[-1] - DAY_S))
         return Steps(

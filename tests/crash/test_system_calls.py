@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
 from collections import Counter
@@ -18,6 +17,7 @@ from daemon.store.sqlite import FILE_NAME
 from tests.crash.interrupted import CALLS, SLOTS
 from tests.crash.promises import Finished, Promises, broken, read_database
 from tests.exhaustive import one_of
+from tests.programs import require_attached, require_strace
 
 TOP = Path(__file__).parents[2]
 END = SLOTS[-1] + timedelta(seconds=200)
@@ -71,8 +71,7 @@ class Interrupter:
         )
         assert result.returncode == 0, result.stderr
         answers = [json.loads(line) for line in result.stdout.splitlines()]
-        if "attached" not in answers[0]["strace"]:
-            pytest.skip(f"strace may not trace here: {answers[0]['strace']}")
+        require_attached(answers[0]["strace"])
         return [
             InterruptedRun(
                 one,
@@ -87,8 +86,7 @@ class Interrupter:
 
 @pytest.fixture(scope="module")
 def interrupter(scratch: Path) -> Interrupter:
-    if shutil.which("strace") is None:
-        pytest.skip("strace is not installed")
+    require_strace()
     root = scratch / "interrupted"
     root.mkdir()
     return Interrupter(root)

@@ -7,6 +7,7 @@ import sqlite3
 import subprocess
 import sys
 import tempfile
+import warnings
 from pathlib import Path
 
 import click
@@ -121,6 +122,19 @@ def test_an_error_shows_control_characters(capsys) -> None:
 
     run(command, "dcam-ctl", [])
     assert capsys.readouterr().err == ("dcam-ctl: error: camera \\x1b]0;owned\\x07 is lost\n")
+
+
+def test_a_matplotlib_of_the_system_beside_ours_disturbs_nobody(capsys) -> None:
+    """Debian's has a folder for three dimensions that ours cannot load, and says so."""
+
+    @click.command()
+    def plot() -> None:
+        warnings.warn("Unable to import Axes3D. This may be due to multiple versions", stacklevel=1)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert run(plot, "dcam-ctl", []) == 0
+    assert capsys.readouterr().err == ""
 
 
 def test_unknown_option_is_usage(capsys) -> None:

@@ -13,7 +13,6 @@ import duckdb
 import fsspec
 import numpy as np
 import pytest
-from moto.server import ThreadedMotoServer
 from sqlalchemy import text
 
 from daemon.fleet.month_file import MOTION_PAIRS, RELATIVE_BITS, STEPS_BITS
@@ -45,6 +44,8 @@ ORDER BY m.site, m.slot_utc
 @pytest.fixture
 def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """A bucket on a server of S3, as fsspec finds it by the environment."""
+    from moto.server import ThreadedMotoServer
+
     server = ThreadedMotoServer("127.0.0.1", 0)
     server.start()
     host, port = server.get_host_and_port()

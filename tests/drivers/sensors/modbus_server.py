@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import sys
-
-from pymodbus.server import ModbusSerialServer, ModbusTcpServer
-from pymodbus.simulator import DataType, SimData, SimDevice
+from typing import Any
 
 INPUT = (215, 0xFF38)
 """21.5 and -20.0 degC in tenths."""
@@ -20,7 +18,9 @@ SWAPPED_AT = 20
 UNIT = 7
 
 
-def device() -> SimDevice:
+def device() -> Any:
+    from pymodbus.simulator import DataType, SimData, SimDevice
+
     bits = [SimData(0, values=[False] * 8, datatype=DataType.BITS)]
     registers = DataType.REGISTERS
     holding = [
@@ -38,6 +38,8 @@ def tell(word: object) -> None:
 
 
 async def serve(port: str | None) -> None:
+    from pymodbus.server import ModbusSerialServer, ModbusTcpServer
+
     if port is None:
         server = ModbusTcpServer([device()], address=("127.0.0.1", 0))
         await server.listen()
