@@ -53,6 +53,7 @@ bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks --output docs/benchmarks.md
 
 studies: $(INSTALLED)
+	@sh .ci/system-packages $(PYTHON) studies
 	$(BIN)/python -m studies
 
 # The checker brings much that nothing else here needs: it has an environment of its own.

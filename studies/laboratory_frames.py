@@ -177,11 +177,13 @@ def locate(positions: int, lens_views: int, seed: int, shrink: float = 1.0) -> L
     options = FitOptions(site, Board.nominal(site.sub_target), Method.RIGID, skew=False)
     taken = rendered(site, positions, lens_views, seed)
     images = {view.name: view.main for view in taken if view.main is not None}
-    started_s = time.process_time()
-    seen, rejected = find_targets(taken, site)
-    start, _ = start_from_views(seen, options)
-    views = relocate_corners(seen, start.lens, options.board)
-    locating_s = (time.process_time() - started_s) / len(taken)
+    # Twice, and the second is timed: the first may have compiled loops.
+    for _ in range(2):
+        started_s = time.process_time()
+        seen, rejected = find_targets(taken, site)
+        start, _ = start_from_views(seen, options)
+        views = relocate_corners(seen, start.lens, options.board)
+        locating_s = (time.process_time() - started_s) / len(taken)
     names = [name for name, _ in rejected]
     return Located(site, options, images, views, names, locating_s)
 
