@@ -33,6 +33,8 @@ PAUSED_SLOTS = 20
 SETTLED_DAYS = 2
 """By then every kind of weather has been, or nearly, and every cache has been filled once."""
 STATUS_RUNS = 5
+FAIR_MIN = 10
+"""How long the same image is shown on end in fair weather."""
 YEARS_MIN = 20 * 365.25 * DAY_MIN
 
 
@@ -78,11 +80,13 @@ class Result:
 class Site:
     """The simulated site and the processes that run it."""
 
-    def __init__(self, directory: Path, history: History, measure_every: int) -> None:
+    def __init__(
+        self, directory: Path, history: History, measure_every: int, fair_min: int
+    ) -> None:
         self.state = directory / "state"
         self._config = directory / "dcam.toml"
         self._history = history
-        self._every = str(measure_every)
+        self._looks = [str(measure_every), str(fair_min)]
         self._options = ["--config", str(self._config), "--state", str(self.state)]
 
     def calibrate(self) -> None:
@@ -101,7 +105,7 @@ class Site:
     def live(self, boot_id: str, begin_utc: datetime, end_utc: datetime, *, cut: bool) -> Life:
         """Run `dcamd` until a slot is reached, and cut its power there, or let it end."""
         self._configure(begin_utc)
-        command = [sys.executable, "-m", "benchmarks.soak_daemon", boot_id, self._every]
+        command = [sys.executable, "-m", "benchmarks.soak_daemon", boot_id, *self._looks]
         command += self._options
         if not cut:
             command += ["--max-slots", str((end_utc - begin_utc) // PERIOD)]
@@ -136,9 +140,11 @@ class Site:
                 time.sleep(0.01)
 
 
-def run(history: History, directory: Path, measure_every: int) -> Result:
+def run(
+    history: History, directory: Path, measure_every: int, fair_min: int = FAIR_MIN
+) -> Result:
     """Run a whole history below a directory, and look at what has become of it."""
-    site = Site(directory, history, measure_every)
+    site = Site(directory, history, measure_every, fair_min)
     site.calibrate()
     began_s, cpu_s = time.monotonic(), _children_cpu_s()
     first = site.live("boot-1", START_UTC, history.dark_from, cut=True)

@@ -2,7 +2,8 @@
 
 Everything else is the daemon's own: slot loop, pair of cameras, archive, database, control socket.
 Arguments: the boot it is to say it runs in; of how many looks at the same pair of images one is
-measured again, the others being given the same result; then those of `dcamd`.
+measured again, the others being given the same result; for how many minutes of fair weather the
+same image is shown on end; then those of `dcamd`.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
 from datetime import datetime
-from typing import Any, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 from core.results import Measurement
 from core.site import QualityLimits, Site
@@ -26,13 +27,16 @@ from drivers.protocols import Image, Role
 from drivers.sim import world
 from drivers.sim.settings import DISTURBANCES, SimSettings
 
-GOOD_MIN, OTHER_MIN = 10, 240
-"""How long the same image is shown on end, in fair weather and else."""
+OTHER_MIN = 240
+"""How long the same image is shown on end in other weather."""
 _DAY_MIN = 1440
 
 
 class RenderedOnce(world.World):
     """A world in which every day is like the first one of its weather."""
+
+    fair_min: ClassVar = 0
+    """How long the same image is shown on end in fair weather."""
 
     def __init__(self, site: Site, settings: SimSettings) -> None:
         self._shown: dict[tuple[Any, ...], Image] = {}
@@ -42,7 +46,7 @@ class RenderedOnce(world.World):
         """Render the first image of such a moment; show that one ever after."""
         minute = int(self._minute(t_utc)) % _DAY_MIN
         cases = tuple(kind for kind in DISTURBANCES if self.active(kind, t_utc, role))
-        past = minute % (OTHER_MIN if cases else GOOD_MIN)
+        past = minute % (OTHER_MIN if cases else self.fair_min)
         moment = role, cases, minute - past, how
         if moment not in self._shown:
             self._shown[moment] = super().render(role, t_utc, *how)
@@ -108,6 +112,7 @@ class Remembered:
 def run() -> NoReturn:
     """Run `dcamd` on such a world, and end with its exit code."""
     boot_id, every = sys.argv.pop(1), int(sys.argv.pop(1))
+    RenderedOnce.fair_min = int(sys.argv.pop(1))
     for module, name, stand_in in (
         (machine, "read_boot_id", lambda: boot_id),
         (row_history, "measure", MeasuredAgain(every).measure),

@@ -13,6 +13,7 @@ OFFLINE = {
     "PIP_FLAGS": "--no-deps --no-index",
     "DEB_COMPRESSION": "gzip",
     "MANUAL": "no",
+    "COMPILE": "no",
 }
 
 

@@ -2,7 +2,6 @@
 
 import random
 import signal
-import time
 from pathlib import Path
 from subprocess import PIPE
 
@@ -13,7 +12,7 @@ from drivers.sim.head_angles import AnglesAsker
 from tests.drivers.heads.test_head_programs import simulated_head
 from tests.exhaustive import one_of
 from tests.programs import Program
-from tests.waiting import PATIENCE_S
+from tests.waiting import wait_for
 
 KILLS, SEED = 10 // one_of(2), 5
 REFERENCE_FILES = 20
@@ -41,10 +40,10 @@ def killed_after(directory: Path, files: int) -> str:
     """Kill it when so many new images are there, or just before; give what was said at the end."""
     begun = files_below(directory / "state")
     with start(directory) as program:
-        end_s = time.monotonic() + PATIENCE_S
-        while files_below(directory / "state") < begun + files and program.poll() is None:
-            assert time.monotonic() < end_s
-            time.sleep(0.002)
+        wait_for(
+            lambda: files_below(directory / "state") >= begun + files or program.poll() is not None,
+            f"{files} images more",
+        )
         assert program.poll() is None, program.stderr.read()
         program.kill()
         said = program.stderr.read()  # the guard has the other end of it: it has done its work

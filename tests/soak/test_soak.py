@@ -9,9 +9,10 @@ from benchmarks import soak
 from benchmarks.soak_history import History
 from tests.programs import Forked
 
-HISTORY = History.of(2, 1.25, bright_days=0.6)
+HISTORY = History.of(2, 1.3, bright_days=0.6)
 """Each camera is lost once and somebody calibrates once before the power fails."""
-MEASURE_EVERY = 60
+MEASURE_EVERY, FAIR_MIN = 60, 60
+"""An image an hour: to render and measure them takes most of the time."""
 
 
 def test_two_days_with_a_power_failure(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -20,7 +21,7 @@ def test_two_days_with_a_power_failure(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(soak, "STATUS_RUNS", 1)  # a figure of the benchmark
     memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as directory:
-        result = soak.run(HISTORY, Path(directory), MEASURE_EVERY)
+        result = soak.run(HISTORY, Path(directory), MEASURE_EVERY, FAIR_MIN)
     assert result.wrong == []
     assert result.slots == 2880
     assert result.gaps["power_loss"] == result.slots - result.powered

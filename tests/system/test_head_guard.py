@@ -10,7 +10,7 @@ from subprocess import PIPE
 
 import pytest
 
-from tests.daemon.commands.conftest import SIMULATED
+from tests.daemon.commands.conftest import SMALL
 from tests.programs import Program
 from tests.waiting import PATIENCE_S
 
@@ -52,7 +52,7 @@ def test_sigkill_in_a_move_of_a_head_without_feedback(head: Path, tmp_path: Path
     """It would turn on to its stop: it was asked to start, and nobody is left to say stop."""
     config = tmp_path / "dcam.toml"
     config.write_text(
-        SIMULATED
+        SMALL
         + f'head_angles = "{head}"\n[pan_tilt]\nbackend = "pelco-d"\nport = "{tmp_path / "head"}"\n'
         + "reports_position = false\nspeed_deg_s = 0.2\n"
     )
