@@ -140,9 +140,7 @@ class Site:
                 time.sleep(0.01)
 
 
-def run(
-    history: History, directory: Path, measure_every: int, fair_min: int = FAIR_MIN
-) -> Result:
+def run(history: History, directory: Path, measure_every: int, fair_min: int = FAIR_MIN) -> Result:
     """Run a whole history below a directory, and look at what has become of it."""
     site = Site(directory, history, measure_every, fair_min)
     site.calibrate()
