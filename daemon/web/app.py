@@ -100,13 +100,14 @@ class Page:
     def series(self, request: Request) -> Response:
         """Answer `/api/series`."""
         query = request.query_params
-        only(query, "quantities", "since", "until", "buckets")
+        only(query, "quantities", "since", "until", "buckets", "without_excluded")
         names = quantities_of(query.get("quantities", "x_mm.main,y_mm.main"))
         since, until = asking.span(query, self._last_week)
         buckets = int(asking.number(query, "buckets", 2000, 1, MOST_BUCKETS))
-        asked = Asked(names, since, until, buckets)
+        asked = Asked(names, since, until, buckets, asking.switch(query, "without_excluded"))
         self.follower.wait_current()
-        key = (asked, self.follower.progress())
+        said = newest_entry(self.record) if asked.without_excluded else None
+        key = (asked, self.follower.progress(), said)
         return self.answer(request, lambda: series(self.record, self.follower.pyramid, asked), key)
 
     def spans(self, request: Request) -> Response:

@@ -85,6 +85,15 @@ def number(query: QueryParams, name: str, default: float, low: float, high: floa
     return value
 
 
+def switch(query: QueryParams, name: str) -> bool:
+    """Whether something is wanted: 1 or 0, which it is by default. Raises AskedWronglyError."""
+    text = query.get(name, "0")
+    if text not in {"0", "1"}:
+        msg = f"{name}: must be 0 or 1, is {_shown(text)}"
+        raise AskedWronglyError(msg)
+    return text == "1"
+
+
 def seconds(when: datetime) -> float:
     """Seconds since 1970."""
     return (when - EPOCH).total_seconds()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import sqlite3
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -24,6 +25,7 @@ from daemon.store.rows.datum import read_datums
 from daemon.store.runs import next_second
 from daemon.times import slot_text
 from daemon.web.asking import AskedWronglyError, seconds
+from daemon.web.exclusion import BucketsWithout, Excluded, excluded_of, rows_without
 from daemon.web.pyramid import (
     BUCKET,
     EPOCH_S,
@@ -51,6 +53,8 @@ class Asked:
     since: datetime
     until: datetime
     buckets: int
+    without_excluded: bool = False
+    """Leave out what the quality ledger excludes."""
 
     @property
     def width_s(self) -> float:
@@ -73,17 +77,29 @@ def quantities_of(text: str) -> tuple[str, ...]:
 
 def series(record: Record, pyramid: Pyramid, asked: Asked) -> dict[str, Any]:
     """The answer of `/api/series`. Raises StoreError."""
-    since, until = (slot_text(next_second(time)) for time in (asked.since, asked.until))
-    if asked.width_s < pyramid.lowest_s:
-        most = asked.buckets * ROWS_A_BUCKET + 1
+    narrow = asked.width_s < pyramid.lowest_s
+    if narrow or asked.without_excluded:
         with record.reading() as connection:
-            count = row_count(connection, since, until, most)
-            if count < most:
-                datums = read_datums(connection)
-                rows = chart_rows(connection, since, until, datums, asked.quantities)
-                single = count <= asked.buckets
-                return _rows(asked, rows) if single else _of_rows(asked, rows)
+            excluded = excluded_of(connection, asked.quantities) if asked.without_excluded else {}
+            if narrow and (found := _from_rows(connection, asked, excluded)) is not None:
+                return found
+            if excluded:
+                return _of_pyramid(pyramid, asked, BucketsWithout(connection, pyramid, excluded))
     return _of_pyramid(pyramid, asked)
+
+
+def _from_rows(
+    connection: sqlite3.Connection, asked: Asked, excluded: Excluded
+) -> dict[str, Any] | None:
+    """The rows, or buckets of them; None where they are too many to read."""
+    since, until = (slot_text(next_second(time)) for time in (asked.since, asked.until))
+    most = asked.buckets * ROWS_A_BUCKET + 1
+    count = row_count(connection, since, until, most)
+    if count == most:
+        return None
+    rows = chart_rows(connection, since, until, read_datums(connection), asked.quantities)
+    rows = rows_without(rows, excluded)
+    return _rows(asked, rows) if count <= asked.buckets else _of_rows(asked, rows)
 
 
 def _head(asked: Asked, span_s: float) -> dict[str, Any]:
@@ -120,17 +136,20 @@ def _of_rows(asked: Asked, rows: ChartRows) -> dict[str, Any]:
     return _of_buckets(asked, found, first * width_s, width_s)
 
 
-def _of_pyramid(pyramid: Pyramid, asked: Asked) -> dict[str, Any]:
+def _of_pyramid(
+    pyramid: Pyramid, asked: Asked, left: BucketsWithout | None = None
+) -> dict[str, Any]:
     level, factor = level_for(pyramid, asked.width_s)
-    width_s = pyramid.width_s(level)
-    first = (math.floor(seconds(asked.since)) - EPOCH_S) // (width_s * factor)
-    last = (math.ceil(seconds(asked.until)) - EPOCH_S - 1) // (width_s * factor)
-    count = last - first + 1
-    found = {
-        name: merged(pyramid.read(level, name, first * factor, count * factor), factor)
-        for name in asked.quantities
-    }
-    return _of_buckets(asked, found, EPOCH_S + first * width_s * factor, width_s * factor)
+    width_s = pyramid.width_s(level) * factor
+    first = (math.floor(seconds(asked.since)) - EPOCH_S) // width_s
+    last = (math.ceil(seconds(asked.until)) - EPOCH_S - 1) // width_s
+    count, start_s = last - first + 1, EPOCH_S + first * width_s
+    found = {}
+    for name in asked.quantities:
+        found[name] = merged(pyramid.read(level, name, first * factor, count * factor), factor)
+        if left is not None:
+            found[name] = left.of(name, found[name], start_s, width_s)
+    return _of_buckets(asked, found, start_s, width_s)
 
 
 def level_for(pyramid: Pyramid, width_s: float) -> tuple[int, int]:

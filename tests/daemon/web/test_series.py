@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from daemon.store.database import open_store, open_store_readonly
+from daemon.store.ledger.entries import LedgerEntry, LedgerKind
 from daemon.store.records import GapCause
 from daemon.web.follower import Follower
 from daemon.web.pyramid import EPOCH_S, LEVELS
 from tests.daemon.store.examples import PERIOD_S, START, calibration, datum, slot
-from tests.daemon.web.site import DARK, PEAK, PEAK_MM, ROWS, UNTIL, fill, page, row, y_mm
+from tests.daemon.web.site import DARK, PEAK, PEAK_MM, ROWS, SINCE, UNTIL, fill, page, row, y_mm
 
 Y = "y_mm.main"
 
@@ -188,3 +189,57 @@ def test_a_day_says_which_share_of_its_slots_has_a_row_and_a_good_one(
     slots = ROWS + 10  # a gap is at the end
     assert day["completeness"] == pytest.approx(ROWS / slots)
     assert day["good"] == pytest.approx((ROWS - len(DARK)) / slots)
+
+
+LEFT_OUT = range(PEAK - 3, PEAK + 70)
+"""Neither begins nor ends with a bucket."""
+
+
+@pytest.fixture(scope="module")
+def excluding(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The record with its peak excluded, and more than that of another point alone."""
+    directory = tmp_path_factory.mktemp("excluding")
+    shutil.copytree(made / "state", directory / "state")
+    span = slot(LEFT_OUT.start), slot(LEFT_OUT.stop)
+    with open_store(directory / "state") as store:
+        for point, ends in ((None, span), ("quarter", (START, UNTIL))):
+            entry = LedgerEntry(LedgerKind.EXCLUDE, "Eve", UNTIL, "painted", *ends, point=point)
+            store.add_ledger_entry(entry)
+    return directory
+
+
+@pytest.mark.parametrize("buckets", [2, 7, 61, 199, 2000])
+def test_what_the_ledger_excludes_is_left_out_of_the_figures_if_wanted(
+    excluding: Path, buckets: int
+) -> None:
+    """Drawn row by row, in pieces of rows, or of the pyramid at any level."""
+    wanted = [y_mm(n) for n in range(ROWS) if n not in DARK and n not in LEFT_OUT]
+    names = f"{Y},sigma_y_mm.main,temperature_main_c"
+    with page(excluding) as site:
+        found = site.series(SINCE, UNTIL, buckets, f"{names}&without_excluded=1")["series"]
+        whole = site.series(SINCE, UNTIL, buckets, f"{names}&without_excluded=0")["series"]
+    if "value" in found[Y]:
+        there = [value for value in found[Y]["value"] if value is not None]
+        assert there == pytest.approx(wanted, abs=1e-5)
+        assert found["sigma_y_mm.main"]["value"].count(None) == len(LEFT_OUT) + len(DARK)
+    else:
+        counts = found[Y]["count"]
+        assert (sum(counts), sum(found["sigma_y_mm.main"]["count"])) == (len(wanted), len(wanted))
+        assert max(value for value in found[Y]["max"] if value is not None) < 2.001
+        means = [mean for mean in found[Y]["mean"] if mean is not None]
+        mean = np.average(means, weights=[count for count in counts if count])
+        assert mean == pytest.approx(np.mean(wanted), abs=1e-4)
+    assert found["temperature_main_c"] == whole["temperature_main_c"]
+    assert whole[Y] != found[Y]
+
+
+def test_an_exclusion_that_is_taken_back_is_shown_again(excluding: Path, tmp_path: Path) -> None:
+    shutil.copytree(excluding / "state", tmp_path / "state")
+    names = f"{Y}&without_excluded=1"
+    with page(tmp_path) as site:
+        assert max(filter(None, site.series(SINCE, UNTIL, 2000, names)["series"][Y]["value"])) < 2.1
+        with open_store(tmp_path / "state") as store:
+            undo = LedgerEntry(LedgerKind.UNDO, "Eve", UNTIL, "was dry", entry_id=1)
+            store.add_ledger_entry(undo)
+        found = site.series(SINCE, UNTIL, 2000, names)["series"][Y]["value"]
+    assert max(filter(None, found)) == PEAK_MM
