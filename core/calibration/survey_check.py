@@ -48,6 +48,11 @@ _DISTANCE, _CENTRES, _DIAMETER = (
 _SQUARE, _BOARD_DISTANCE = "target.sub.square_mm", "target.sub.distance_mm"
 
 
+def _digits(value: float) -> str:
+    """Five digits, written out."""
+    return f"{value:.5g}" if abs(value) < 99_999.5 else f"{value:.0f}"
+
+
 @dataclass(frozen=True, slots=True)
 class Quantity:
     """One quantity as the config has it and as the images show it."""
@@ -77,9 +82,9 @@ class Quantity:
     def sentence(self) -> str:
         """Both values and their distance."""
         low, high = self.expected
-        config = f"{low:.5g}" if low == high else f"{low:.5g} to {high:.5g}"
+        config = _digits(low) if low == high else f"{_digits(low)} to {_digits(high)}"
         return (
-            f"{self.name}: by the config {config} {self.unit}, by the images {self.seen:.5g} "
+            f"{self.name}: by the config {config} {self.unit}, by the images {_digits(self.seen)} "
             f"{self.unit}, {abs(self.sigmas):.1f} sigma of {self.sigma:.2%} off"
         )
 
