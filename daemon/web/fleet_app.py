@@ -58,7 +58,9 @@ class FleetPage:
     def __init__(self, centre: Centre) -> None:
         self.centre = centre
         language = centre.web.language
-        self.views = Views("dcam", "UTC", language, texts_of(language), pages={})
+        self.views = Views(
+            "dcam", "UTC", language, texts_of(language), pages={}, has_site_time=False
+        )
         self._open: dict[str, _Open] = {}
         self._names: dict[str, str] = {}
         self._lock = threading.Lock()

@@ -229,6 +229,7 @@ def datum(record: Record) -> dict[str, Any]:
     """All links of calibrations to the record's zero, newest first."""
     with record.reading() as connection:
         links = read_links(connection)
+    newest = {link.calibration_id: link.id for link in links}
     return {
         "schema": 1,
         "datum": [
@@ -242,6 +243,7 @@ def datum(record: Record) -> dict[str, Any]:
                 "sigma_x_mm": sigma_x_mm,
                 "sigma_y_mm": sigma_y_mm,
                 "detail": link.detail,
+                "holds": link.id == newest[link.calibration_id],
             }
             for link in reversed(links)
             for sigma_x_mm, sigma_y_mm in [sigmas_mm(link.offset)]

@@ -43,6 +43,8 @@ class Views:
     """Before all addresses but those of /static/."""
     pages: Mapping[str, str] | None = None
     """What can be chosen above, by the addresses below `root`; None: a site's."""
+    has_site_time: bool = True
+    """Whether there is one site, whose own time people may want."""
 
     def html(self, page: str, status: int = 200, **context: object) -> HTMLResponse:
         """A page."""
@@ -58,6 +60,7 @@ class Views:
             icon=_ICON,
             root=self.root,
             pages=pages,
+            has_site_time=self.has_site_time,
             **context,
         )
         return HTMLResponse(text, status)

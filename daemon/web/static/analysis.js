@@ -1,6 +1,6 @@
 // What the record says over weeks and years, as sentences and tables; and a reference beside it.
 
-import { below, el, epoch, fixed, getJson, iso, percent, t, table, timeElement } from "./page.js";
+import { STACK, below, el, epoch, fixed, getJson, iso, percent, t, table, timeElement } from "./page.js";
 
 const section = document.getElementById("analysis");
 const beside = document.getElementById("comparison");
@@ -11,20 +11,20 @@ const SPANS = [["90d", 90], ["1y", 365], ["all", null]];
 const interval = ({ value, low, high }, digits = 3) =>
   `${fixed(value, digits)} [${fixed(low, digits)}, ${fixed(high, digits)}]`;
 
-const part = (title, columns, rows) =>
-  rows.length ? [el("h3", {}, title), table(title, columns, rows)] : [];
+const part = (title, columns, rows, attributes = {}) =>
+  rows.length ? [el("h3", {}, title), table(title, columns, rows, attributes)] : [];
 
 const trendRows = ({ trend, drift }) => [
-  ...(trend ? [[t("trend"), interval(trend.mm_per_year), t(trend.seasonal ? "trend_whole" : "trend_short")]] : []),
+  ...(trend ? [[t("whole_span"), interval(trend.mm_per_year), t(trend.seasonal ? "trend_whole" : "trend_short")]] : []),
   ...(drift ? [[t("last_days", { days: drift.days.toFixed(0) }), interval(drift.mm_per_year), t(drift.significant ? "drift" : "no_drift")]] : []),
 ];
 
 const tables = (found) => [
   ...part(t("temperature_share"), [t("name"), t("mm_per_unit"), t("lag_h")],
     (found.temperature?.readings ?? []).map((one) => [one.slow ? t("slow_part", one) : one.name, `${interval(one.mm_per_unit, 4)} mm/${one.unit === "degC" ? "K" : one.unit}`, interval(one.lag_h, 2)])),
-  ...part(t("trend"), [t("span"), t("mm_per_year"), ""], trendRows(found)),
-  ...part(t("steps"), [t("time"), "mm", t("at_earliest"), t("at_latest")],
-    (found.steps?.found ?? []).map((step) => [timeElement(step.time_utc), interval(step.mm), timeElement(step.earliest_utc), timeElement(step.latest_utc)])),
+  ...part(t("trend"), [t("span"), t("mm_per_year"), t("meaning")], trendRows(found)),
+  ...part(t("steps"), [t("time"), t("step_mm"), t("at_earliest"), t("at_latest")],
+    (found.steps?.found ?? []).map((step) => [timeElement(step.time_utc), interval(step.mm), timeElement(step.earliest_utc), timeElement(step.latest_utc)]), STACK),
   ...part(t("creep"), [t("days_after_loading"), `mm, ${t("of_all_laws")}`],
     (found.creep?.predictions ?? []).map((one) => [fixed(one.days, 0), interval(one.mm)])),
   ...part(t("days_table"), [t("day"), `${t("minimum")}, mm`, `${t("mean")}, mm`, `${t("maximum")}, mm`, t("number"), t("completeness")],
@@ -36,9 +36,9 @@ const sentences = (lines) => el("ul", { class: "items" }, lines.map((line) => el
 const compared = (one) => [
   el("h3", {}, `${one.point} ${one.axis}`), sentences(one.sentences),
   ...(one.differences.length
-    ? [table(`${one.point} ${one.axis}`, [t("time"), t("record_mm"), t("reference_mm"), t("difference_mm"), "E_n"],
+    ? [table(`${one.point} ${one.axis}`, [t("time"), t("record_mm"), t("reference_mm"), t("difference_mm"), t("e_n")],
       one.differences.map((each) => [timeElement(each.time), fixed(each.row_mm), fixed(each.reference_mm),
-        `${fixed(each.difference_mm)} ± ${fixed(each.sigma_mm)}`, fixed(each.e_n, 2)]))] : []),
+        `${fixed(each.difference_mm)}\u00a0±\u00a0${fixed(each.sigma_mm)}`, fixed(each.e_n, 2)]), STACK)] : []),
 ];
 
 let latest = 0;

@@ -1,6 +1,6 @@
 // The calibrations and the chain of zeros.
 
-import { at, below, el, getJson, t, table, timeElement, withSigma } from "./page.js";
+import { STACK, at, below, el, getJson, t, table, timeElement, withSigma } from "./page.js";
 
 const section = document.getElementById("calibrations");
 const datumSection = document.getElementById("datum");
@@ -9,19 +9,19 @@ const showCalibrations = async () => {
   const { calibrations } = await getJson("/api/calibrations");
   const rows = calibrations.map((entry) => [
     el("a", { href: at(`/calibrations/${entry.id}`) }, `${entry.id}`), timeElement(entry.created), entry.method,
-    t(entry.passed ? "yes" : "no"), entry.active ? t("active") : ""]);
+    entry.passed ? t("yes") : el("span", { class: "flag flag-4" }, t("no")), entry.active ? t("active") : ""]);
   below(section, rows.length
-    ? table(t("heading_calibrations"), [t("calibration"), t("created"), t("method"), t("passed"), t("state_word")], rows)
+    ? table(t("heading_calibrations"), [t("calibration"), t("created"), t("method"), t("passed"), t("state_word")], rows, STACK)
     : el("p", {}, t("none")));
 };
 
 const showDatum = async () => {
   const { datum } = await getJson("/api/datum");
   const rows = datum.map((link) => [
-    el("a", { href: at(`/calibrations/${link.calibration}`) }, `${link.calibration}`), timeElement(link.reference), link.method,
-    withSigma(link.x_mm, link.sigma_x_mm), withSigma(link.y_mm, link.sigma_y_mm), link.detail]);
+    el("a", { href: at(`/calibrations/${link.calibration}`) }, `${link.calibration}`), timeElement(link.reference), t(`datum_${link.method}`),
+    withSigma(link.x_mm, link.sigma_x_mm), withSigma(link.y_mm, link.sigma_y_mm), t(link.holds ? "holds" : "replaced"), link.detail]);
   below(datumSection, el("p", { class: "hint" }, t("datum_hint")), rows.length
-    ? table(t("heading_datum"), [t("calibration"), t("reference"), t("method"), t("right_mm"), t("up_mm"), t("detail")], rows)
+    ? table(t("heading_datum"), [t("calibration"), t("reference"), t("method"), t("right_mm"), t("up_mm"), t("state_word"), t("detail")], rows, STACK)
     : el("p", {}, t("none")));
 };
 

@@ -58,6 +58,7 @@ const show = (until) => fill(node, async () => {
   const newest = [...days].sort((a, b) => b.day.localeCompare(a.day));
   const step = (name, by, there) => el("button", { type: "button", disabled: !there, onclick: () => show(until + by * DAYS * DAY_S) }, t(name));
   node.replaceChildren(
+    there.length ? el("p", { class: "hint" }, t("days_scale", { low: fixed(low, 2), high: fixed(high, 2) })) : "",
     days.length ? el("ul", { class: "film" }, newest.map((day) => card(day, low, high))) : el("p", {}, t("no_days")),
     el("p", { class: "buttons" }, step("newer", 1, until <= last), step("older", -1, first < since)),
     dayTable(newest));

@@ -1,6 +1,6 @@
 // Alarms, gaps, ledger and events as tables.
 
-import { at, below, el, epoch, getJson, iso, t, table, timeElement } from "./page.js";
+import { STACK, at, below, el, epoch, getJson, iso, plain, pointName, t, table, timeElement } from "./page.js";
 
 const page = document.getElementById("events-page");
 const section = (name) => document.getElementById(name);
@@ -15,11 +15,11 @@ const PARTS = {
   alarms: (found) => [[t("name"), t("state_word"), t("since"), t("alarm_about")],
     found.map((alarm) => [alarm.name, alarm.state, timeElement(alarm.since), alarm.text || alarm.about])],
   gaps: (found) => [[t("start"), t("end"), t("slots_missed"), t("cause"), t("detail"), t("record")],
-    found.map((gap) => [timeElement(gap.start), timeElement(gap.end), `${gap.slots}`, gap.cause, gap.detail, link(gap.start, gap.end)])],
-  ledger: (found) => [[t("start"), t("end"), t("kind"), t("author"), t("text"), t("record")],
-    found.map((entry) => [timeElement(entry.start), timeElement(entry.end), entry.kind, entry.author, entry.text, link(entry.start, entry.end)])],
+    found.map((gap) => [timeElement(gap.start), timeElement(gap.end), `${gap.slots}`, plain(gap.cause), gap.detail, link(gap.start, gap.end)])],
+  ledger: (found) => [[t("start"), t("end"), t("kind"), t("point"), t("author"), t("text"), t("record")],
+    found.map((entry) => [timeElement(entry.start), timeElement(entry.end), t(`kind_${entry.kind}`), entry.point ? pointName(entry.point) : t("all_points"), entry.author, entry.text, link(entry.start, entry.end)])],
   events: (found) => [[t("time"), t("kind"), t("detail")],
-    found.map((event) => [timeElement(event.time, "second"), event.kind, event.detail])],
+    found.map((event) => [timeElement(event.time, "second"), plain(event.kind), event.detail])],
 };
 
 /** Alarms that are only armed are folded up: what is raised must be seen at once. */
@@ -28,8 +28,8 @@ const shown = (name, columns, rows) => {
   const folded = name === "alarms" ? rows.filter(([, state]) => state === "armed") : [];
   const open = rows.filter((row) => !folded.includes(row));
   return [
-    open.length ? table(t(`heading_${name}`), columns, open) : el("p", {}, t("no_alarms")),
-    folded.length ? el("details", {}, el("summary", {}, t("armed", { count: folded.length })), table(t("armed", { count: folded.length }), columns, folded)) : null,
+    open.length ? table(t(`heading_${name}`), columns, open, STACK) : el("p", {}, t("no_alarms")),
+    folded.length ? el("details", {}, el("summary", {}, t("armed", { count: folded.length })), table(t("armed", { count: folded.length }), columns, folded, STACK)) : null,
   ].filter(Boolean);
 };
 

@@ -28,12 +28,12 @@ export const panelSpecs = (overview, point) => {
     { id: "y", title: t("panel_y"), ...mm, lines: [value("y")], height: 210 },
     { id: "single_y", title: t("panel_single_y"), ...mm, lines: single("y") },
     ...(overview.points.some(({ role }) => role === "fixed")
-      ? [{ id: "closure", title: t("panel_closure"), ...mm, zero: true, mixed: true, lines: ["x", "y"].map((axis) => line(`closure_${axis}_mm`, axis)) }] : []),
+      ? [{ id: "closure", title: t("panel_closure"), ...mm, zero: true, mixed: true, lines: [["x", "right"], ["y", "up"]].map(([axis, name]) => line(`closure_${axis}_mm`, t(name))) }] : []),
     { id: "temperature", title: t("panel_temperature"), unit: "°C", digits: 1, least: 0.1, lines: celsius },
     { id: "x", title: t("panel_x"), ...mm, lines: [value("x")] },
     { id: "single_x", title: t("panel_single_x"), ...mm, lines: single("x") },
-    { id: "rotation", title: t("panel_rotation"), unit: "mrad", digits: 4, mixed: true, lines: ["rx", "ry", "rz"].map((axis) => line(`${axis}_rad`, axis, { factor: 1000 })) },
-    { id: "translation", title: t("panel_translation"), ...mm, mixed: true, lines: ["tx", "ty", "tz"].map((axis) => line(`${axis}_mm`, axis)) },
+    { id: "rotation", title: t("panel_rotation"), unit: "mrad", digits: 4, mixed: true, lines: ["x", "y", "z"].map((axis) => line(`r${axis}_rad`, t("about", { axis }), { factor: 1000 })) },
+    { id: "translation", title: t("panel_translation"), ...mm, mixed: true, lines: ["x", "y", "z"].map((axis) => line(`t${axis}_mm`, t("along", { axis }))) },
     ...(measured.length > 1
       ? [{ id: "points_y", title: t("panel_points_y"), ...mm, mixed: true, lines: measured.map(({ name }) => line(`y_mm.${name}`, name)) }] : []),
     ...units.map((unit) => ({
@@ -62,7 +62,8 @@ export class RecordFigure {
     this.panels = [];
     this.width = node.clientWidth;
     this.chosen = new Set((recall("panels", null)?.split(" ") ?? DEFAULT_PANELS));
-    [this.since, this.until] = this.fromAddress() ?? [this.last - 7 * 86400, this.last + 60];
+    this.withoutExcluded = new URLSearchParams(location.hash.slice(1)).get("excluded") === "out";
+    [this.since, this.until] = this.fromAddress() ?? [Math.max(this.first, this.last - 7 * 86400), this.last + 60];
     this.sight = new IntersectionObserver((entries) => this.seen(entries), { rootMargin: "100px" });
     this.choosePanels();
     this.makeTools();
@@ -108,7 +109,8 @@ export class RecordFigure {
           step("+", t("zoom_in"), () => this.zoom(0.5, 0.5)), step("−", t("zoom_out"), () => this.zoom(2, 0.5))),
         el("form", { class: "dates", onsubmit: (event) => this.submit(event) },
           el("label", {}, t("from"), this.from), el("label", {}, t("to"), this.to), el("button", {}, t("go"))),
-        this.pointSelect),
+        this.pointSelect,
+        el("label", {}, el("input", { type: "checkbox", checked: this.withoutExcluded, onchange: (event) => this.leaveOut(event.target.checked) }), t("without_excluded"))),
       el("details", { class: "choices", open: innerWidth > 700 }, el("summary", {}, t("panels")), this.choices), this.readout, this.said, this.lanes, this.panelBox,
       el("details", { class: "help" }, el("summary", {}, t("help")), el("p", { id: "figure-help" }, t("figure_help"))));
   }
@@ -158,6 +160,11 @@ export class RecordFigure {
     remember("panels", [...this.chosen].join(" "));
     this.choosePanels();
     this.panelBox.replaceChildren(...this.panels.map((panel) => panel.node));
+  }
+
+  leaveOut(wanted) {
+    this.withoutExcluded = wanted;
+    this.again();
   }
 
   choosePoint(name) {
@@ -286,14 +293,14 @@ export class RecordFigure {
     const quantities = [...new Set(this.panels.flatMap(({ spec }) => spec.lines.flatMap((line) => [line.quantity, line.sigma].filter(Boolean))))];
     try {
       const [answer, spans] = await Promise.all([
-        getJson("/api/series", { quantities: quantities.join(","), ...window, buckets: Math.round(2 * this.widthPx()) }, signal),
+        this.values({ quantities: quantities.join(","), ...window, buckets: Math.round(2 * this.widthPx()) }, signal),
         getJson("/api/spans", { ...window, resolution: Math.max(1, Math.round(SPANS_PX * this.wantedS())) }, signal),
         this.chart,
       ]);
       this.answer = answer;
       this.asked = asked;
       this.spans = readSpans(spans);
-      const shaded = shadedByKind(this.spans);
+      const shaded = shadedByKind(this.spans, this.point);
       for (const panel of this.panels) panel.show(answer, shaded);
       this.draw();
       this.tell(t("readout_hint"));
@@ -307,13 +314,18 @@ export class RecordFigure {
     }
   }
 
+  /** An answer of /api/series, with or without what the ledger excludes. */
+  values(parameters, signal) {
+    return getJson("/api/series", { ...parameters, ...(this.withoutExcluded ? { without_excluded: 1 } : {}) }, signal);
+  }
+
   /** All that need not follow each move: the marks, the address, the texts, the tables. */
   settle() {
     clearTimeout(this.settling);
     this.settling = setTimeout(() => {
       for (const panel of this.drawn) if (!panel.inSight) this.drawPanel(panel);
       this.drawLanes();
-      history.replaceState(null, "", `#since=${iso(Math.round(this.since))}&until=${iso(Math.round(this.until))}`);
+      history.replaceState(null, "", `#since=${iso(Math.round(this.since))}&until=${iso(Math.round(this.until))}${this.withoutExcluded ? "&excluded=out" : ""}`);
       this.from.value = timeText(this.since, "day");
       this.to.value = timeText(this.until - 1, "day");
       for (const panel of this.panels) panel.describe();
@@ -353,7 +365,10 @@ export class RecordFigure {
     const tell = (text) => this.tell(text);
     this.laid = { since: this.since, until: this.until };
     this.lanes.replaceChildren(...laneRows(this.spans, this.since, this.until, place.left - left, place.width, tell, (span) => this.zoomTo(span)));
-    if (focused) this.lanes.querySelector(`[data-key="${focused}"]`)?.focus({ preventScroll: true });
+    const again = focused && this.lanes.querySelector(`[data-key="${focused}"]`);
+    if (!again) return;
+    again.tabIndex = 0;
+    again.focus({ preventScroll: true });
   }
 
   zoomTo(span) {
@@ -368,7 +383,7 @@ export class RecordFigure {
   }
 
   textAt(panel, index, seconds) {
-    const spans = spansAt(this.spans, seconds, (panel.step ?? 60) / 2).map((span) => span.text);
+    const spans = spansAt(this.spans, seconds, (panel.step ?? 60) / 2, panel.spanS / 2).map((span) => span.text);
     const time = timeText(seconds, panel.spanS ? "minute" : "second");
     return [time, panel.reading(index), ...new Set(spans)].filter(Boolean).join(" · ");
   }
@@ -443,7 +458,7 @@ export class RecordFigure {
     let spanS = panel.spanS;
     while (spanS > 0) {
       const inside = { since: iso(Math.floor(time - spanS / 2)), until: iso(Math.ceil(time + spanS / 2)) };
-      const answer = await getJson("/api/series", { quantities: line.quantity, ...inside, buckets: 500 });
+      const answer = await this.values({ quantities: line.quantity, ...inside, buckets: 500 });
       const { value: rows, min, max } = answer.series[line.quantity];
       const wanted = value / (line.factor ?? 1);
       const off = (n) => {

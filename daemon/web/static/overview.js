@@ -1,6 +1,6 @@
 // The first page: how it is doing, and the record.
 
-import { below, duration, el, getJson, percent, t, table, timeElement, withSigma, flagElement } from "./page.js";
+import { below, duration, el, getJson, percent, pointName, reasonsText, t, table, timeElement, withSigma, flagElement } from "./page.js";
 import { RecordFigure } from "./figure.js";
 
 const state = document.getElementById("state");
@@ -28,10 +28,10 @@ view.addEventListener("click", (event) => {
 const lastValues = (last) => {
   if (!last?.slot) return el("p", {}, t("no_row"));
   const rows = Object.entries(last.points ?? {}).map(([name, at]) => [
-    name === "main" ? t("main_point") : name,
+    pointName(name, at.role),
     el("strong", {}, withSigma(at.x_mm, at.sigma_x_mm)),
     el("strong", {}, withSigma(at.y_mm, at.sigma_y_mm)),
-    el("span", {}, flagElement(at.flag), " ", (at.reasons ?? []).join(" + ")),
+    el("span", {}, flagElement(at.flag), " ", reasonsText(at.reasons)),
   ]);
   return el("div", {},
     table(t("last_value"), [t("point"), `${t("right")}, mm`, `${t("up")}, mm`, t("flag")], rows),
@@ -46,7 +46,7 @@ const troubles = (items) => {
     : el("p", {}, t("nothing_wrong"));
   const fine = items.filter(({ level }) => level === 0);
   return el("div", {}, el("h3", {}, t("wrong")), list,
-    fine.length ? el("details", {}, el("summary", {}, fine.map(({ name }) => name).join(", ")),
+    fine.length ? el("details", {}, el("summary", {}, t("in_order", { names: fine.map(({ name }) => name).join(", ") })),
       el("ul", { class: "items" }, fine.map((item) => el("li", {}, el("strong", {}, item.name), ` ${item.text}`)))) : null);
 };
 

@@ -38,8 +38,18 @@ export const digitsOf = (sigma) =>
 
 export const withSigma = (value, sigma) => {
   const digits = digitsOf(sigma);
-  return sigma > 0 ? `${fixed(value, digits)} ± ${fixed(sigma, digits)}` : fixed(value, digits);
+  return sigma > 0 ? `${fixed(value, digits)}\u00a0±\u00a0${fixed(sigma, digits)}` : fixed(value, digits);
 };
+
+/** What a point of the bridge, or a fixed plate, is called. */
+export const pointName = (name, role) =>
+  role === "fixed" ? t("fixed_point", { name }) : name === "main" ? t("main_point") : name;
+
+/** A word of the record in plain English: camera_lost. */
+export const plain = (word) => `${word ?? ""}`.replaceAll("_", " ");
+
+/** Reasons of a row as one text. */
+export const reasonsText = (reasons) => (Array.isArray(reasons) ? reasons.map(plain).join(" + ") : plain(reasons));
 
 export const percent = (share) =>
   share === null || share === undefined ? "–" : `${share === 1 ? 100 : share > 0.99 ? Math.min(99.9, 100 * share).toFixed(1) : (100 * share).toFixed(share > 0 && share < 0.1 ? 1 : 0)} %`;
@@ -127,7 +137,7 @@ const zoneChanged = () => {
   document.dispatchEvent(new Event("zone"));
 };
 zoneSelect.value = remembered("zone", "site");
-if (!zoneSelect.value) zoneSelect.value = "site";
+if (!zoneSelect.value) zoneSelect.value = zoneSelect.querySelector("[value=site]") ? "site" : "utc";
 zoneSelect.addEventListener("change", () => {
   remember("zone", zoneSelect.value);
   zoneChanged();
@@ -172,14 +182,17 @@ export const below = (section, ...children) => {
   section.replaceChildren(...[heading, ...children].filter(Boolean));
 };
 
-/** A table: columns are texts, cells are texts or nodes. Scrolls sideways by itself on a phone. */
+/** A table: columns are texts, cells are texts or nodes. On a phone it scrolls sideways by itself; with
+ * the class `stack` each row is a list of its cells there, each with the name of its column. */
 export const table = (caption, columns, rows, attributes = {}) =>
   el("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": caption },
     el("table", attributes,
       el("caption", { class: "unseen" }, caption),
       el("thead", {}, el("tr", {}, columns.map((text) => el("th", { scope: "col" }, text)))),
       el("tbody", {}, rows.map((cells) => el("tr", {}, cells.map((cell, k) =>
-        el(k === 0 ? "th" : "td", k === 0 ? { scope: "row" } : {}, cell ?? "–")))))));
+        el(k === 0 ? "th" : "td", { "data-column": columns[k], ...(k === 0 ? { scope: "row" } : {}) }, cell ?? "–")))))));
+
+export const STACK = { class: "stack" };
 
 /** A flag as its word, with its colour. */
 export const flagElement = (flag) => el("span", { class: `flag flag-${flag}` }, `${flag} ${t(`flag_${flag}`)}`);

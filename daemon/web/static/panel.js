@@ -216,10 +216,10 @@ export class Panel {
         const half = kind === "datum" ? 0 : (this.step ?? 0) / 2;
         const high = spans[0].lane === "flag" ? strip : bbox.height;
         ctx.fillStyle = colour(`--span-${kind}`);
-        for (const { start, end } of spans) {
+        for (const { start, end, isOpen } of spans) {
           if (end < this.since || start > this.until) continue;
           const left = x(start - half);
-          ctx.fillRect(left, bbox.top + bbox.height - high, Math.max(x(end + half) - left, devicePixelRatio), high);
+          ctx.fillRect(left, bbox.top + bbox.height - high, Math.max(x(end + (isOpen ? -half : half)) - left, devicePixelRatio), high);
         }
       }
     });

@@ -1,6 +1,6 @@
 // One slot: its two frames with the targets drawn in, and its numbers.
 
-import { at, el, epoch, fill, fixed, flagElement, getJson, iso, svg, t, table, timeElement, timeText, withSigma } from "./page.js";
+import { STACK, at, el, epoch, fill, fixed, flagElement, getJson, iso, pointName, reasonsText, svg, t, table, timeElement, timeText, withSigma } from "./page.js";
 
 const NUMBER_DIGITS = 6;
 
@@ -23,7 +23,7 @@ class Frame {
   constructor(role, url, time) {
     const name = t(`frame_${role}`);
     this.note = el("p", { class: "hint" }, url ? t("targets_loading") : t("frame_gone"));
-    this.button = el("button", { type: "button", hidden: true, "aria-pressed": "false", onclick: () => this.toggle() }, t("show_target"));
+    this.button = el("button", { type: "button", hidden: true, onclick: () => this.toggle() }, t("show_target"));
     this.node = el("figure", { class: "frame", "data-frame": role, "data-targets": url ? "loading" : "none" }, el("figcaption", {}, name, this.button));
     this.url = url;
     if (!url) {
@@ -55,6 +55,7 @@ class Frame {
   setSize(width, height) {
     this.width = width;
     this.height = height;
+    this.svg.style.aspectRatio = `${width} / ${height}`; // a zoom must not move what stands below
     for (const [name, value] of Object.entries({ x: -0.5, y: -0.5, width, height })) this.image.setAttribute(name, value);
     this.view();
   }
@@ -71,15 +72,13 @@ class Frame {
   }
 
   toggle() {
-    const close = this.button.getAttribute("aria-pressed") !== "true";
-    this.button.setAttribute("aria-pressed", close);
-    this.button.textContent = t(close ? "show_whole" : "show_target");
+    this.isClose = !this.isClose;
+    this.button.textContent = t(this.isClose ? "show_whole" : "show_target");
     this.view();
   }
 
   view() {
-    const close = this.box && this.button.getAttribute("aria-pressed") === "true";
-    if (!close) {
+    if (!this.box || !this.isClose) {
       this.svg.setAttribute("viewBox", `-0.5 -0.5 ${this.width} ${this.height}`);
       return;
     }
@@ -89,18 +88,16 @@ class Frame {
   }
 }
 
-const reasonsText = (reasons) => (Array.isArray(reasons) ? reasons.join(" + ") : reasons) || "";
-
 const points = (answer) => {
   const rows = Object.entries(answer.points ?? {}).map(([name, at]) => [
-    name === "main" ? t("main_point") : name,
+    pointName(name, at.role),
     withSigma(at.x_mm, at.sigma_x_mm), withSigma(at.y_mm, at.sigma_y_mm),
     fixed(at.raw_x_mm), fixed(at.raw_y_mm),
     el("span", {}, flagElement(at.flag ?? answer.flag), " ", reasonsText(at.reasons)),
   ]);
   if (!rows.length) return null;
   const [corrected, alone] = [t("corrected_mm"), t("alone_mm")];
-  return table(t("slot"), [t("point"), `${t("right")}, ${corrected}`, `${t("up")}, ${corrected}`, `${t("right")}, ${alone}`, `${t("up")}, ${alone}`, t("flag")], rows);
+  return table(t("slot"), [t("point"), `${t("right")}, ${corrected}`, `${t("up")}, ${corrected}`, `${t("right")}, ${alone}`, `${t("up")}, ${alone}`, t("flag")], rows, STACK);
 };
 
 const numbers = (answer) => {
@@ -109,7 +106,7 @@ const numbers = (answer) => {
       : typeof value === "number" ? (Number.isInteger(value) ? `${value}` : `${Number(value.toPrecision(NUMBER_DIGITS))}`)
         : typeof value === "object" ? JSON.stringify(value) : `${value}`;
   const rows = Object.entries(answer.numbers ?? {}).map(([name, value]) => [name, text(value)]);
-  return rows.length ? el("details", {}, el("summary", {}, t("numbers")), table(t("numbers"), [t("column"), t("value")], rows, { class: "numbers" })) : null;
+  return rows.length ? el("details", {}, el("summary", {}, t("numbers")), el("p", { class: "hint" }, t("numbers_hint")), table(t("numbers"), [t("column"), t("value")], rows, { class: "numbers" })) : null;
 };
 
 /** What people have said of it, so that it is left out of figures and sums. */

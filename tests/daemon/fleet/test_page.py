@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,7 @@ from daemon.web.fleet_app import FleetPage
 from tests.daemon.fleet.conftest import Pier, sync
 from tests.daemon.fleet.postgres import Proxy, Server
 from tests.daemon.fleet.test_commands import ctl, with_url
-from tests.daemon.web.browsing import visiting
+from tests.daemon.web.browsing import PHONE, visiting
 from tests.laboratory import laboratory
 from tests.waiting import wait_for
 
@@ -58,6 +59,15 @@ def test_all_sites_are_a_list_a_map_and_each_its_record(
             for mark in visit.page.locator(".map circle").all()
         ]
         assert visit.violations() == []
+        assert visit.page.locator("#zone").input_value() == "utc"  # there is no one site's time
+        expect(visit.page.locator(".levels")).to_have_text(re.compile("critical.*unknown"))
+        with visiting(browser, url, **PHONE) as phone:
+            phone.go("/")
+            name = phone.page.locator(".map text", has_text=NAME)
+            assert name.evaluate("node => node.getBoundingClientRect().height") > 10
+            assert phone.page.locator("#sites .scroll").evaluate(
+                "node => node.scrollWidth == node.clientWidth"
+            )
         # The worst is drawn last. It is 7.2 km further east; the scale says how far that is.
         (west, first_y), (east, second_y) = places
         assert first_y == second_y

@@ -8,7 +8,7 @@ from datetime import timedelta
 import pytest
 from playwright.sync_api import Route, expect
 
-from benchmarks.page_record import GAP_SLOTS, PEAK_MM, SUSPECT
+from benchmarks.page_record import GAP_SLOTS, MINUTE, PEAK_MM, SUSPECT
 from daemon.times import slot_text
 from tests.daemon.web.browsing import LINE_PLACES, Visit, around, seconds
 from tests.daemon.web.conftest import Served, whole
@@ -143,7 +143,7 @@ def test_keys_move_zoom_and_step_from_point_to_point_to_its_images(
     visit.moved(third)
     figures.press(",")  # from the right end: the last row
     said = visit.page.locator("#figure [aria-live]")
-    expect(said).to_have_text(re.compile(r"corrected .* ± "))
+    expect(said).to_have_text(re.compile(r"corrected .*\s±\s"))
     figures.press("Enter")
     view = visit.page.locator("dialog section")
     expect(view).to_have_attribute("data-slot", slot_text(served.record.last))
@@ -173,14 +173,14 @@ def test_gaps_flags_and_exclusions_say_their_reason_on_focus(visit: Visit, serve
     visit.show(*around(served.record.gap, 200))
     readout = visit.page.locator(".readout")
     gap = visit.page.locator(".mark-gap")
-    expect(gap).to_have_accessible_name(re.compile(f"power_loss, {GAP_SLOTS} slots"))
+    expect(gap).to_have_accessible_name(re.compile(f"power loss, {GAP_SLOTS} slots"))
     gap.focus()
-    expect(readout).to_contain_text("power_loss")
+    expect(readout).to_contain_text("power loss")
     visit.show(*around(served.record.suspect, 60))
     visit.page.locator(".mark-flag-3").focus()
-    expect(readout).to_contain_text(f"suspect: {SUSPECT.value}")
+    expect(readout).to_contain_text(f"suspect: {SUSPECT.value.replace('_', ' ')}")
     visit.page.locator(".mark-excluded").focus()
-    expect(readout).to_contain_text("exclude: plate painted (Eve)")
+    expect(readout).to_contain_text("excluded: plate painted (Eve)")
 
 
 def test_a_reference_is_laid_over_the_values(visit: Visit) -> None:
@@ -202,6 +202,73 @@ def test_hundreds_of_runs_of_two_flags_are_few_marks_that_say_both(visit: Visit)
     assert sum(mark["count"] for mark in marks) == 1000
     assert {mark["kind"] for mark in marks} == {"flag-4"}
     assert all("suspect" in mark["text"] and "bad" in mark["text"] for mark in marks)
+
+
+def test_by_keyboard_a_row_of_marks_is_one_stop_on_the_way_to_the_figures(
+    visit: Visit, served: Served
+) -> None:
+    visit.show(*whole(served))
+    marks = visit.page.locator("[aria-label=Flags] .mark")
+    assert marks.count() > 5
+    keyboard, readout = visit.page.keyboard, visit.page.locator(".readout")
+    marks.first.focus()
+    keyboard.press("ArrowRight")
+    expect(marks.nth(1)).to_be_focused()
+    expect(readout).to_have_text(marks.nth(1).get_attribute("aria-label") or "")
+    keyboard.press("Tab")
+    expect(visit.page.locator("[aria-label=Ledger] .mark").first).to_be_focused()
+    keyboard.press("Tab")
+    expect(visit.page.locator("[aria-label=Events] .mark").first).to_be_focused()
+    keyboard.press("Tab")
+    expect(visit.page.locator(".panels")).to_be_focused()
+
+
+def test_what_the_ledger_excludes_is_left_out_if_wanted(visit: Visit, served: Served) -> None:
+    """Half an hour of suspect rows: the choice stays in the address, as a link is passed on."""
+    visit.show(*around(served.record.suspect, 25))
+    plot, choice = visit.panel("y").locator(".plot"), visit.page.get_by_label("Without what")
+    assert is_drawn(visit, 0.75)
+    choice.check()
+    visit.settle()
+    assert not is_drawn(visit, 0.75)
+    assert is_drawn(visit, 0.25)
+    plot.locator(".over").click(position={"x": 900, "y": 60})
+    expect(visit.page.locator(".readout")).to_contain_text("excluded: plate painted")
+    visit.page.reload()
+    visit.settle()
+    expect(choice).to_be_checked()
+    assert not is_drawn(visit, 0.75)
+
+
+def is_drawn(visit: Visit, share: float) -> bool:
+    """Whether there is a line at this share of the first figure's width."""
+    width = visit.panel("y").locator(".over").bounding_box()["width"]
+    places = visit.panel("y").evaluate(LINE_PLACES)
+    return any(abs(x / width - share) < 0.05 for x, _ in places)
+
+
+def test_a_row_after_a_gap_is_not_in_it(visit: Visit, served: Served) -> None:
+    visit.show(*around(served.record.gap + GAP_SLOTS * MINUTE, 10))
+    figures = visit.page.locator(".panels")
+    figures.focus()
+    figures.press(".")
+    said = visit.page.locator("#figure [aria-live]")
+    expect(said).to_contain_text("corrected")
+    expect(said).not_to_contain_text("gap")
+
+
+def test_moments_in_a_row_never_look_like_one_that_lasted(visit: Visit) -> None:
+    """A restart each hour for ten hours, an hour as wide as a mark."""
+    visit.go("/events")
+    marks = visit.page.evaluate(
+        """async () => {
+          const { together } = await import("/static/spans.js");
+          const spans = Array.from({ length: 10 }, (_, k) => ({
+            lane: "event", kind: "event", start: 3600 * k, end: 3600 * k, text: "started" }));
+          return together(spans, "event", 0, 36000, 3601);
+        }"""
+    )
+    assert [mark["end"] - mark["start"] for mark in marks] == [3600] * 5
 
 
 def test_the_line_is_broken_in_a_gap(visit: Visit, served: Served) -> None:

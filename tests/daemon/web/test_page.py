@@ -18,7 +18,7 @@ from benchmarks.page_record import MINUTE, PEAK_MM
 from daemon.store.database import open_store
 from daemon.times import slot_text
 from daemon.web.follower import Follower
-from tests.daemon.web.browsing import PHONE, WIDE, Visit, visiting
+from tests.daemon.web.browsing import PHONE, WIDE, Visit, seconds, visiting
 from tests.daemon.web.conftest import Served, whole
 from tests.daemon.web.site import START, page, row
 from tests.waiting import PATIENCE_S
@@ -68,7 +68,7 @@ class TestOverview:
         visit.page.get_by_role("checkbox", name="Rig rotation").check()
         visit.settle()
         expect(visit.panel("rotation").locator(".plot")).to_have_attribute(
-            "aria-label", re.compile(r"rx from [−\d]")
+            "aria-label", re.compile(r"about x from [−\d]")
         )
         visit.show(*whole(served))
         expect(visit.panel("rotation")).to_be_visible()
@@ -98,6 +98,22 @@ class TestOverview:
             visit.settle()
             assert visit.complaints == []
 
+    def test_a_young_record_fills_the_figures(self, browser: Browser, tmp_path: Path) -> None:
+        with open_store(tmp_path / "state") as store:
+            for minute in range(30):
+                store.add_measurement(row(minute))
+        with page(tmp_path) as site, visiting(browser, f"http://localhost:{site.port}") as visit:
+            visit.go("/")
+            assert seconds(visit.span()) == 30 * 60
+
+
+def sideways(visit: Visit, tables: str) -> list[int]:
+    """By how much each of these tables is wider than what is seen of it, px."""
+    found: list[int] = visit.page.locator(tables).evaluate_all(
+        "nodes => nodes.map(node => node.scrollWidth - node.clientWidth)"
+    )
+    return found
+
 
 class TestSlot:
     def test_both_frames_are_shown_with_the_targets_that_are_found_in_them(
@@ -122,8 +138,17 @@ class TestSlot:
     def test_its_numbers_fit_on_a_phone(self, browser: Browser, served: Served) -> None:
         with visiting(browser, served.url, **PHONE) as visit:
             visit.go(f"/slot/{slot_text(served.record.last)}")
-            table = visit.page.locator("#slot .scroll").first
-            assert table.evaluate("node => node.scrollWidth - node.clientWidth") == 0
+            assert set(sideways(visit, "#slot .scroll")) == {0}
+
+    def test_a_zoom_to_the_target_moves_nothing_below_it(
+        self, visit: Visit, served: Served
+    ) -> None:
+        visit.go(f"/slot/{slot_text(served.record.last)}")
+        frame = visit.page.locator("[data-frame=main][data-targets=found]")
+        before = frame.bounding_box()["height"]
+        frame.get_by_role("button", name="Zoom to the target").click()
+        expect(frame.get_by_role("button", name="Show the whole image")).to_be_visible()
+        assert frame.bounding_box()["height"] == pytest.approx(before, abs=1)
 
     def test_previous_and_next_go_from_row_to_row(self, visit: Visit, served: Served) -> None:
         visit.go(f"/slot/{slot_text(served.record.last)}")
@@ -149,6 +174,18 @@ class TestOtherPages:
         expect(painted).to_contain_text("2.1 % excluded")
         day.get_by_role("link").click()
         assert visit.span() == ("2026-03-06T00:00:00Z", "2026-03-07T00:00:00Z")
+
+    @pytest.mark.parametrize("path", ["/events", "/calibrations"])
+    def test_long_tables_are_read_on_a_phone_without_moving_sideways(
+        self, browser: Browser, served: Served, path: str
+    ) -> None:
+        with visiting(browser, served.url, **PHONE) as visit:
+            visit.go(path)
+            found = sideways(visit, ".scroll:visible")
+            assert set(found) == {0}
+            assert visit.page.locator(".scroll td:visible").first.evaluate(
+                "cell => getComputedStyle(cell, '::before').content.length > 4"
+            )  # the name of its column
 
     def test_the_analysis_has_days_sentences_and_the_reference(
         self, visit: Visit, served: Served
@@ -184,8 +221,8 @@ class TestOtherPages:
 
     def test_gaps_and_events_are_tables_and_a_calibration_is_its_report(self, visit: Visit) -> None:
         visit.go("/events")
-        expect(visit.page.locator("#gaps table")).to_contain_text("power_loss")
-        expect(visit.page.locator("#events table")).to_contain_text("power_lost")
+        expect(visit.page.locator("#gaps table")).to_contain_text("power loss")
+        expect(visit.page.locator("#events table")).to_contain_text("power lost")
         expect(visit.page.locator("#ledger table")).to_contain_text("plate painted")
         expect(visit.page.locator("#alarms table")).to_contain_text("last-good-value")
         visit.go("/calibrations")
@@ -199,6 +236,11 @@ class TestOtherPages:
         expect(camera.get_by_text("best so far")).to_be_visible()
         expect(camera.get_by_role("img", name=re.compile("Histogram"))).to_be_visible()
         expect(camera).to_contain_text(re.compile(r"left \d+, right \d+, top \d+, bottom \d+ px"))
+        pixels = camera.get_by_role("img", name="pixel for pixel")
+        expect(pixels).to_have_count(0)
+        visit.page.get_by_role("button", name="Show single pixels").click()
+        expect(pixels).to_be_visible()
+        assert pixels.evaluate("node => node.naturalWidth") > 0
 
 
 class TestPictures:
