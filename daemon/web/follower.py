@@ -7,7 +7,6 @@ short transaction of its own, so that no reader keeps the write-ahead log from b
 
 from __future__ import annotations
 
-import ctypes
 import fcntl
 import json
 import os
@@ -34,6 +33,7 @@ from daemon.store.records import Mark
 from daemon.store.revisions import require_head
 from daemon.store.rows.datum import Datums, read_datums
 from daemon.store.sqlite import connect_readonly, existing_path, said_plainly
+from daemon.web.memory import Spare
 from daemon.web.pyramid import DAY_S, EPOCH_S, Pyramid, digest_of, lowest_width_s
 
 LOOK_S = 3.0
@@ -99,6 +99,7 @@ class Follower(threading.Thread):
         self._ended = threading.Event()
         self._current = threading.Event()
         self._lock: int | None = None
+        self._spare = Spare()
 
     def progress(self) -> Progress:
         """How far it is."""
@@ -126,6 +127,7 @@ class Follower(threading.Thread):
             except OSError as error:
                 self._trouble = f"{self._cache}: {error.strerror or error}"
             self._current.set()
+            self._spare.give_back()
             self._wake.wait(LOOK_S)
             self._wake.clear()
         if self._lock is not None:
@@ -144,7 +146,6 @@ class Follower(threading.Thread):
         self._work_off()
         self._go_round()
         self._save()
-        give_back_memory()
 
     def _is_first(self) -> bool:
         """Whether the cache is ours to write."""
@@ -309,13 +310,6 @@ class Follower(threading.Thread):
         part = path.with_suffix(".part")
         part.write_text(text, encoding="utf-8")
         part.replace(path)
-
-
-def give_back_memory() -> None:
-    """Let the system have what the last work has freed: the page is small at rest."""
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is not None:  # glibc's own
-        trim(0)
 
 
 def _frame_s(connection: sqlite3.Connection, day: int) -> int:
