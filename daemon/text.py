@@ -33,6 +33,11 @@ def span_text(seconds: float) -> str:
     return " ".join(parts[:2]) or "0 s"
 
 
+def count_of(count: int, what: str) -> str:
+    """Write how many: `1 row`, `2 rows`; of a word that takes an s."""
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
 def visible(text: str) -> str:
     r"""Write control characters as their numbers (`\x1b`): names and reasons may hold any."""
     return _CONTROL.sub(lambda sign: ascii(sign[0])[1:-1], text)

@@ -33,7 +33,7 @@ from daemon.config.alarm import read_remains
 from daemon.config.file import find_config, find_state
 from daemon.config.reading import DEFAULT_STATE_DIRECTORY, Config, find_installation
 from daemon.errors import ConfigError, ExitCode, UsageError
-from daemon.text import utc_text
+from daemon.text import count_of, utc_text
 
 LOCK_NAME = "alarm.lock"
 
@@ -208,7 +208,7 @@ def silence_command(
     now_utc, who = at_utc or datetime.now(UTC), by or _user()
     if duration == "end":
         count = end_silence(options.state, chosen, who, now_utc)
-        say(f"{count} silence(s) ended")
+        say(f"{count_of(count, 'silence')} ended")
         return
     until_utc = silence(options.state, chosen, _duration(duration), who, remark, now_utc)
     what = ", ".join(chosen) or "all alarms"

@@ -17,7 +17,7 @@ from daemon.commands.options import (
 from daemon.commands.output import gap_fields, print_json, print_table, say
 from daemon.store.database import ALWAYS, NEVER, open_store_readonly
 from daemon.store.records import GapRecord
-from daemon.text import utc_text
+from daemon.text import count_of, utc_text
 
 
 @click.command("gaps", epilog="\b\nExample:\n  dcam-ctl gaps --since 30d")
@@ -56,4 +56,5 @@ def print_gaps(gaps: list[GapRecord]) -> None:
             for gap in gaps
         ],
     )
-    say(f"{len(gaps)} gap(s), {sum(gap.slots for gap in gaps)} slots missed")
+    slots = sum(gap.slots for gap in gaps)
+    say(f"{count_of(len(gaps), 'gap')}, {count_of(slots, 'slot')} missed")

@@ -21,7 +21,7 @@ from daemon.status.item import Item, worst
 from daemon.store.ledger.entries import LedgerEntry, in_force
 from daemon.store.queries.datum_fields import offset_text
 from daemon.store.records import CalibrationRecord, DatumRecord, EventRecord
-from daemon.text import span_text
+from daemon.text import count_of, span_text
 from daemon.version import VERSION
 from daemon.zones import in_zone, zone_name, zone_text
 from drivers.libraries import has_library
@@ -117,7 +117,7 @@ def site_and_method(config: Config) -> Iterator[Block]:
             "schedule",
             (
                 f"a value every {span_text(config.schedule.period_s)}, "
-                f"{config.schedule.burst} pair(s) of images each"
+                f"{count_of(config.schedule.burst, 'pair')} of images each"
             ),
         ),
     ]

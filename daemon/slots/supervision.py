@@ -22,6 +22,7 @@ from daemon.errors import (
     StoreError,
 )
 from daemon.store.records import GapCause
+from daemon.text import count_of
 from drivers.errors import (
     DeviceHangsError,
     DeviceLostError,
@@ -133,5 +134,7 @@ class Circuit:
         self._policy = policy
         if self.failed < policy.patience << min(self.ended_before, MOST_DOUBLINGS):
             return
-        msg = f"{self.failed} slot(s) in a row failed ({detail}); a new process may succeed"
+        msg = (
+            f"{count_of(self.failed, 'slot')} in a row failed ({detail}); a new process may succeed"
+        )
         raise policy.ends_with(msg)

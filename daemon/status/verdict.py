@@ -13,7 +13,7 @@ from daemon.status.targets import judge_targets
 from daemon.store.queries.datum_fields import offset_text
 from daemon.store.queries.overview import ActiveCalibrationSummary
 from daemon.store.records import Coverage, DatumMethod
-from daemon.text import bytes_text, span_text, utc_text
+from daemon.text import bytes_text, count_of, span_text, utc_text
 from daemon.value_text import value_text
 
 LATE_SLOTS, LOST_SLOTS = 3, 10
@@ -131,10 +131,10 @@ def _supervision(facts: Facts) -> Item:
     daemon = facts.daemon
     failed = daemon.says.failed_in_a_row if daemon.says else 0
     level = _by_age(max(failed / LATE_SLOTS, daemon.starts_24h / MANY_STARTS), 1.0, math.inf)
-    text = f"{failed} slot(s) in a row without a row" if failed else "no slot failing"
+    text = f"{count_of(failed, 'slot')} in a row without a row" if failed else "no slot failing"
     if failed and daemon.says and daemon.says.last:
         text += f" ({daemon.says.last.cause}: {daemon.says.last.detail})"
-    text += f", {daemon.starts_24h} start(s) in 24 h"
+    text += f", {count_of(daemon.starts_24h, 'start')} in 24 h"
     if daemon.starts_24h > MANY_STARTS:
         text += "; journalctl -u dcamd tells why"
     return Item("supervision", level, text)
@@ -153,7 +153,8 @@ def _cameras(facts: Facts) -> Item:
     if not lost:
         return Item("cameras", Level.OK, _temperatures(facts) or "no loss in 30 days")
     gap = lost[-1]
-    what = f"{gap.cause.value} {utc_text(gap.first_slot_utc)}, {gap.slots} slot(s): {gap.detail}"
+    slots = count_of(gap.slots, "slot")
+    what = f"{gap.cause.value} {utc_text(gap.first_slot_utc)}, {slots}: {gap.detail}"
     if facts.last is None or facts.last.slot_utc < gap.first_slot_utc:
         return Item("cameras", Level.CRITICAL, what)
     return Item("cameras", Level.OK, f"both there; last loss: {what}")
@@ -259,11 +260,13 @@ def _disk(disk: Disk) -> Item:
     """Retention keeps the frames within the disk: only what leaves rows no room is an alarm."""
     text = f"{bytes_text(disk.free_bytes)} of {bytes_text(disk.total_bytes)} free"
     if disk.archive_days:
-        text += f", frames of {disk.archive_days} day(s) take {bytes_text(disk.archive_bytes)}"
+        days = count_of(disk.archive_days, "day")
+        text += f", frames of {days} take {bytes_text(disk.archive_bytes)}"
     if disk.frames_fit:
         text += ", all that retention keeps has room"
     elif disk.days_left:
-        text += f", {disk.days_left:.0f} day(s) until frames are thinned before their time"
+        days = count_of(round(disk.days_left), "day")
+        text += f", {days} until frames are thinned before their time"
     elif disk.days_left == 0:
         text += ", frames are thinned before their time"
     low = disk.free_bytes < LOW_DISK_BYTES
@@ -298,7 +301,7 @@ def _frames(facts: Facts) -> Item:
         return Item("frames", Level.WARNING, text)
     if not count:
         return Item("frames", Level.OK, "all kept in 24 h")
-    text = f"{count} row(s) in 24 h without their frames; journalctl -u dcamd tells why"
+    text = f"{count_of(count, 'row')} in 24 h without their frames; journalctl -u dcamd tells why"
     return Item("frames", Level.WARNING, text)
 
 

@@ -164,7 +164,7 @@ def test_all_are_silenced_for_maintenance_and_what_passed_within_it_is_history(
     silenced, raised, cleared = history(site)
     assert (silenced["kind"], silenced["by"], silenced["name"]) == ("silenced", "Ben", "all")
     assert (raised["kind"], cleared["kind"]) == ("raised", "cleared")
-    assert site.ctl("alarm", "silence", "end").out == "1 silence(s) ended\n"
+    assert site.ctl("alarm", "silence", "end").out == "1 silence ended\n"
     site.measure(5, row(-11.0))
     look(site)
     assert program.titles() == ["dcam bench: CRITICAL"]

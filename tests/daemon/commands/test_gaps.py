@@ -31,7 +31,7 @@ def test_gaps_are_listed_with_slots_and_cause(site: Site) -> None:
     ]
     later = site.ctl("gaps", "--since", "2026-03-01T00:13:00Z")
     assert "power_loss" not in later.out
-    assert "1 gap(s), 2 slots missed" in later.out
+    assert "1 gap, 2 slots missed" in later.out
 
 
 def test_no_gaps_is_said(site: Site) -> None:

@@ -78,7 +78,7 @@ def test_a_lost_camera_is_critical_until_it_is_back(site: Site) -> None:
     site.measure(1)
     back = site.status()
     assert site.levels(back)["cameras"] == "ok"
-    assert "camera_lost 2026-03-01T03:30:00Z, 2 slot(s)" in back.out
+    assert "camera_lost 2026-03-01T03:30:00Z, 2 slots" in back.out
 
 
 def test_low_coverage_is_a_warning(site: Site) -> None:
@@ -178,13 +178,13 @@ def test_slots_that_fail_in_a_row_are_a_warning_with_their_cause(site: Site) -> 
     last = LastSlot("2026-03-01T00:09:00Z", "missed", "disk_full", "no space")
     level, text = item(says(site, failed_in_a_row=4, last=last), "supervision")
     assert level == "warning"
-    assert text == "4 slot(s) in a row without a row (disk_full: no space), 0 start(s) in 24 h"
+    assert text == "4 slots in a row without a row (disk_full: no space), 0 starts in 24 h"
 
 
 def test_a_daemon_that_is_started_again_and_again_is_a_warning(site: Site) -> None:
     for _ in range(5):
         site.write(lambda store: store.add_event(site.end, "started"))
-    assert item(site.status(), "supervision") == ("ok", "no slot failing, 5 start(s) in 24 h")
+    assert item(site.status(), "supervision") == ("ok", "no slot failing, 5 starts in 24 h")
     site.write(lambda store: store.add_event(site.end, "started"))
     assert site.levels(site.status())["supervision"] == "warning"
 
@@ -222,7 +222,7 @@ def test_the_size_of_the_archive_is_reported_without_walking_it(site: Site) -> N
         day = FrameDay(date(2026, 2, number), bytes=3_000_000_000)
         site.write(lambda store, day=day: store.put_frame_day(day))
     ran = site.status()
-    assert "frames of 2 day(s) take 6 GB" in ran.out
+    assert "frames of 2 days take 6 GB" in ran.out
     assert json.loads(ran.out)["disk"]["archive_bytes"] == 6_000_000_000
 
 
