@@ -151,7 +151,7 @@ def many_piers(server: Server, piers: int, seconds: int, minutes: int) -> None:
         {
             "name": f"pier-{number:05d}",
             "identity": str(number),
-            "revision": "0011",
+            "revision": "0012",
             "version": "0.1.0",
             "heard_utc": datetime.now(UTC),
             "period_s": 60,

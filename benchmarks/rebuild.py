@@ -6,8 +6,8 @@ begins to count at midnight; insects; a second calibration; a gap; several pairs
 `dcam-ctl verify --rebuild` of 1,000 rows at random. Ends with 1 if any row comes out otherwise,
 or if there were fewer.
 
-With `--wrong-clock` also pairs taken under a wrong clock, which get their slots later. Their rows
-do come out otherwise: they were measured as of the time that the clock said.
+With `--wrong-clock` also pairs taken under a wrong clock, which get their slots later and are
+measured again as of their true times: no exception is made of them.
 """
 
 from __future__ import annotations
@@ -155,7 +155,9 @@ def conditions(state: Path) -> dict[str, int]:
             counts[f"of calibration {row.calibration_id}"] += 1
             counts["with a closure"] += row.measurement.closure is not None
             counts["of two pairs"] += row.measurement.frames_used > 1
-            counts["of a wrong clock, dated later"] += row.redated_from_utc is not None
+            dated = row.redated_from_utc is not None
+            counts["of a wrong clock, dated later"] += dated
+            counts["of these measured again"] += dated and row.recorded_late
     return dict(counts)
 
 

@@ -23,7 +23,7 @@ from daemon.errors import ExitCode, UsageError
 from daemon.schedule import Schedule
 from daemon.slots.time_correction import Books, Redated, TrueTime, account_for_moved, redate
 from daemon.store.database import Store, open_store, open_store_readonly
-from daemon.store.records import MeasurementRecord
+from daemon.store.records import MeasurementRecord, RedatedRecord
 from daemon.text import utc_text
 from daemon.times import slot_text
 
@@ -52,6 +52,7 @@ class Wanted:
 @click.option("--since", callback=utc_time, metavar="TIME", help="Rows of the record from here on.")
 @click.option("--until", callback=utc_time, metavar="TIME", help="And before here.")
 @click.option("--shift", type=float, metavar="SECONDS", help="True time minus the clock's.")
+@click.option("--done", is_flag=True, help="List what was dated: as it was measured, and as it is.")
 @click.option("--dry-run", is_flag=True, help="Tell what would be done; change nothing.")
 @json_option
 @tz_option
@@ -65,6 +66,7 @@ def command(
     since: datetime | None,
     until: datetime | None,
     shift: float | None,
+    done: bool,
     dry_run: bool,
     as_json: bool,
 ) -> int:
@@ -74,7 +76,14 @@ def command(
     PTP disciplines the clock in the same boot; else say when the boot began, or how far the clock
     was off. Nothing is overwritten: what has another row in its slot stays undated, every row
     keeps the slot that it had first (redated_from_utc), and the history tells of it.
+
+    dcamd measures rows that were dated once more from their images, between its slots: sigma
+    depends on the time. --done lists what they were and what they are.
     """
+    if done:
+        with open_store_readonly(options.state) as store:
+            _list_done(store, as_json=as_json)
+        return ExitCode.DONE
     if boot is None and since is None:
         _require(booted is None and shift is None and not clock_is_right, "name --boot or --since")
         with open_store_readonly(options.state) as store:
@@ -94,15 +103,15 @@ def command(
             wanted = _of_record(store, since, until, shift or 0.0)
         _require_past(wanted, now_utc)
         if dry_run:
-            done = _predict(store, schedule, wanted)
+            came = _predict(store, schedule, wanted)
         else:
-            books = Books(store, options.state, schedule)
-            done = redate(books, wanted.rows, wanted.undated, wanted.true_utc)
-            account_for_moved(books, wanted.rows, now_utc)
-            detail = f"by hand: {done.dated} dated, {done.moved} moved, {done.left} left"
+            books = Books(store, options.state, schedule, unseen=1)
+            came = redate(books, wanted.rows, wanted.undated, wanted.true_utc)
+            account_for_moved(books, wanted.rows, wanted.true_utc, now_utc)
+            detail = f"by hand: {came.dated} dated, {came.moved} moved, {came.left} left"
             store.add_event(now_utc, "redated", detail)
-    _tell(done, dry_run=dry_run, as_json=as_json)
-    return ExitCode.FAILED if done.left else ExitCode.DONE
+    _tell(came, dry_run=dry_run, as_json=as_json)
+    return ExitCode.FAILED if came.left else ExitCode.DONE
 
 
 def _require(condition: bool, problem: str) -> None:
@@ -183,6 +192,47 @@ def _list(undated: Undated, *, as_json: bool) -> None:
         say("date them with --boot BOOT and --booted TIME or --shift SECONDS; see --help")
 
 
+def _list_done(store: Store, *, as_json: bool) -> None:
+    """All that was dated, as it was measured under the wrong clock, and as it is now."""
+    rows = [
+        (entry, store.measurement(entry.slot_utc))
+        for entry in store.redated()
+        if entry.slot_utc is not None
+    ]
+    fields = [_done_fields(entry, now) for entry, now in rows]
+    if as_json:
+        print_json({"command": "redate", "done": fields})
+    elif not fields:
+        say("nothing was dated")
+    else:
+        heads = ("slot", "first", "measured again", *("y, mm", "now", "sigma y, mm", "now"))
+        cells = [tuple("-" if one is None else str(one) for one in row.values()) for row in fields]
+        print_table(heads, cells)
+
+
+def _done_fields(entry: RedatedRecord, now: MeasurementRecord | None) -> dict[str, object]:
+    """Values count from the reference of the row's calibration, as they are stored."""
+    y_mm, sigma_y_mm = _y_mm(entry.before)
+    now_mm, now_sigma_mm = (None, None) if now is None else _y_mm(now)
+    return {
+        "slot_utc": None if entry.slot_utc is None else slot_text(entry.slot_utc),
+        "from_slot_utc": slot_text(entry.before.slot_utc),
+        "measured_again": "waits" if entry.again is None else entry.again.value,
+        "before_y_mm": y_mm,
+        "y_mm": now_mm,
+        "before_sigma_y_mm": sigma_y_mm,
+        "sigma_y_mm": now_sigma_mm,
+    }
+
+
+def _y_mm(record: MeasurementRecord) -> tuple[float | None, float | None]:
+    """The corrected y and its sigma."""
+    found = record.measurement.corrected
+    if found is None:
+        return None, None
+    return round(float(found.mm[1]), 6), round(float(found.covariance_mm2[1, 1]) ** 0.5, 6)
+
+
 def _boot_fields(boot_id: str, records: Sequence[MeasurementRecord]) -> dict[str, object]:
     return {
         "boot_id": boot_id,
@@ -203,3 +253,5 @@ def _tell(done: Redated, *, dry_run: bool, as_json: bool) -> None:
     say(f"{done.dated} undated pairs {would}dated, {done.moved} rows {would}moved")
     if done.left:
         say(f"{done.left} left undated: their slots have other rows")
+    if not dry_run and done.dated + done.moved:
+        say("dcamd will measure them again as of their true times, between its slots")

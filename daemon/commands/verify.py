@@ -35,9 +35,18 @@ from daemon.store.verification import (
     row_findings,
     slot_findings,
 )
+from daemon.text import count_of
 
 if TYPE_CHECKING:  # the numerics are loaded by who rebuilds rows
     from daemon.slots.rebuilding import Compared, Rebuilt
+
+_WHY_NOT_AGAIN = {
+    "waits": "dcamd will measure them again as of their true times, between its slots",
+    "no_frames": "with values as of its time, as their images were not kept or are removed",
+    "frames_unreadable": "with values as of its time, as their images cannot be read",
+    "no_calibration": "measured without a calibration, or with one that is lost",
+    "broke": "with values as of its time: measuring them again failed, the log says why",
+}
 
 
 @click.command("verify", epilog="\b\nExample:\n  dcam-ctl verify --since 30d")
@@ -91,7 +100,7 @@ def command(options: Options, since: datetime | None, rebuild: int | None, *, as
     else:
         for finding in findings:
             say(f"{finding.what}: {finding.where}: {finding.text}; {finding.todo}")
-        say(f"{len(findings)} finding(s)" if findings else "all well")
+        say(count_of(len(findings), "finding") if findings else "all well")
         for line in _what_was_looked_at(counted):
             say(line)
         if rebuilt is not None:
@@ -113,22 +122,30 @@ def _what_was_looked_at(counted: Counted) -> Iterator[str]:
 
 
 def _what_was_rebuilt(rebuilt: Rebuilt) -> Iterator[str]:
-    yield f"{rebuilt.rows} rows made once more from their frames and compared to the last bit"
+    rows = count_of(rebuilt.rows, "row")
+    yield f"{rows} made once more from their frames and compared to the last bit"
     if rebuilt.other.rows:
         kind = (
             "of other numerics (another version of dcam or of its libraries, or another processor)"
         )
         yield _what_was_compared(rebuilt.other, kind)
     if rebuilt.redated.rows:
-        kind = "that a wrong clock had dated, and measured as of its time,"
+        kind = "that a wrong clock had dated, with values as of its time still,"
         yield _what_was_compared(rebuilt.redated, kind)
+    for why, count in rebuilt.not_again.items():
+        yield f"{count_of(count, 'row')} of a wrong clock: {_WHY_NOT_AGAIN[why]}"
+    if rebuilt.beside.rows:
+        kind = "measured while rows of a wrong clock stood before them, which have gone elsewhere,"
+        yield _what_was_compared(rebuilt.beside, kind)
     if rebuilt.skipped:
-        yield f"{rebuilt.skipped} rows passed over: of another config, or without calibration"
+        rows = count_of(rebuilt.skipped, "row")
+        yield f"{rows} passed over: of another config, or without calibration"
 
 
 def _what_was_compared(compared: Compared, kind: str) -> str:
     text = (
-        f"{compared.rows} rows {kind} made once more: {compared.differing} come out otherwise now"
+        f"{count_of(compared.rows, 'row')} {kind} made once more: {compared.differing} come out "
+        "otherwise now"
     )
     if compared.differing:
         text += f", by {compared.largest_mm:.2g} mm at most"

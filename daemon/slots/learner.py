@@ -23,6 +23,8 @@ _WINDOW = timedelta(days=90)
 """Rows that are learnt from. Chosen: a season, and read in a second."""
 _HOUR_S = 3600.0
 
+State = tuple[int, int]
+"""Changes with the rows before a slot, see `Store.state_before`."""
 Hours = Callable[[datetime, datetime], FloatArray]
 """Gives (n, 4) hours since <= slot < until: middle (s since 1970), temperature (C), x, y (mm)."""
 
@@ -31,16 +33,25 @@ Hours = Callable[[datetime, datetime], FloatArray]
 class Learner:
     """Learns once a day, from the rows of the 90 days before: the same rows, the same numbers."""
 
-    _of: tuple[int | None, datetime] | None = None
+    _of: tuple[int | None, datetime, State] | None = None
     _learnt: Learnt | None = None
 
-    def at(self, slot_utc: datetime, calibration: ActiveCalibration, hours: Hours) -> Learnt | None:
-        """Give what the days before a slot taught; None where that is too little."""
+    def at(
+        self,
+        slot_utc: datetime,
+        calibration: ActiveCalibration,
+        hours: Hours,
+        state: Callable[[datetime], State] = lambda _until: (0, 0),
+    ) -> Learnt | None:
+        """Give what the days before a slot taught; None where that is too little.
+
+        state tells whether the rows before a time are those of the last call.
+        """
         distance_mm = watched_distance_mm(calibration.calibration.calibrated)
         if distance_mm is None:
             return None
         midnight_utc = slot_utc.astimezone(UTC).replace(hour=0, minute=0, second=0, microsecond=0)
-        of = (calibration.id, midnight_utc)
+        of = (calibration.id, midnight_utc, state(midnight_utc))
         if of != self._of:
             known = hours(midnight_utc - _WINDOW, midnight_utc)
             self._of, self._learnt = of, _learnt(known, distance_mm)

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import random
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any
 
-import numpy as np
-
-from core.errors import CalibrationError
 from core.site import Site
 from daemon.slots.identity import made_by
 from daemon.slots.learner import Learner
 from daemon.slots.measuring import ActiveCalibration, load_pairs
+from daemon.slots.measuring_again import calibration_of, change_mm
 from daemon.slots.row_history import measure_in_record
 from daemon.store.database import Store
 from daemon.store.frames.archive import FrameArchive
-from daemon.store.records import MeasurementRecord
+from daemon.store.records import Again, MeasurementRecord
 from daemon.store.rows.convert import measurement_columns
 from daemon.store.verification import Finding, Tell
 from daemon.times import EPOCH, slot_text
+
+WAITS = "waits"
+SETTLED = (Again.MEASURED, Again.MOVED)
 
 
 @dataclass(slots=True)
@@ -44,9 +46,7 @@ class Compared:
         before, now = stored.measurement, made.measurement
         if (before.flag, before.reasons) != (now.flag, now.reasons):
             self.flags += 1
-        if before.corrected is not None and now.corrected is not None:
-            change_mm = now.corrected.mm - before.corrected.mm
-            self.largest_mm = max(self.largest_mm, float(np.abs(change_mm).max()))
+        self.largest_mm = max(self.largest_mm, change_mm(stored, made))
 
 
 @dataclass(slots=True)
@@ -58,14 +58,18 @@ class Rebuilt:
     other: Compared = field(default_factory=Compared)
     """Made by other numerics."""
     redated: Compared = field(default_factory=Compared)
-    """Measured as of the time of a wrong clock, among other rows before; now as of the true one."""
+    """Measured as of the time of a wrong clock, and not again since; now as of the true one."""
+    beside: Compared = field(default_factory=Compared)
+    """Held against rows that stood in wrong slots, and went elsewhere since."""
+    not_again: dict[str, int] = field(default_factory=dict)
+    """All rows of a wrong clock that were not measured again, by why: `Again`, or WAITS."""
     skipped: int = 0
     """Of another config, without frames, or of a calibration that cannot be read."""
 
     @property
     def all_rows(self) -> int:
         """How many were made once more."""
-        return self.rows + self.other.rows + self.redated.rows
+        return self.rows + self.other.rows + self.redated.rows + self.beside.rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,24 +87,32 @@ class Rebuilding:
         """Rebuild some rows at random, and give those that come out otherwise. Raises StoreError.
 
         A row of the same numerics, config, calibration and frames must be the same to the last
-        bit; one of other numerics, or that a wrong clock had dated, is counted with its difference.
+        bit, among the rows that were there when it was measured. One of other numerics is counted
+        with its difference, and one whose values, or those of the rows that it was held against,
+        are as of a wrong clock's time.
         """
+        redated = self.store.redated()
+        misled = [entry.seen_by for entry in redated]
+        why = [entry.again or WAITS for entry in redated if entry.again not in SETTLED]
+        counted.not_again = dict(Counter(map(str, why)))
         slots = self.archive.stored_slots(since or EPOCH)
         random.SystemRandom().shuffle(slots)
         learner = Learner()
         for slot_utc in slots:
             if counted.all_rows >= wanted:
                 return
-            record = self.store.measurement(slot_utc)
+            record, row_id = self.store.measurement(slot_utc), self.store.row_id(slot_utc)
             calibration = None if record is None else self._calibration(record)
-            if record is None or calibration is None:
+            if record is None or row_id is None or calibration is None:
                 counted.skipped += 1
                 continue
-            again = self._again(record, calibration, learner)
+            again = self._again(record, row_id, calibration, learner)
             if record.version != made_by():
                 counted.other.add(record, again)
-            elif record.redated_from_utc is not None:
+            elif record.redated_from_utc is not None and not record.recorded_late:
                 counted.redated.add(record, again)
+            elif any(row_id in seen_by for seen_by in misled):
+                counted.beside.add(record, again)
             else:
                 counted.rows += 1
                 yield from _differences(record, again)
@@ -110,20 +122,19 @@ class Rebuilding:
         """What the row was measured with, if it can be measured so once more."""
         if record.config_hash != self.config_hash:
             return None
-        if record.calibration_id is None or record.main_frame is None:
-            return None
-        found = self.store.calibration(record.calibration_id)
-        try:
-            return None if found is None else ActiveCalibration(found.id, found.calibration)
-        except CalibrationError:
-            return None
+        return None if record.main_frame is None else calibration_of(self.store, record)
 
     def _again(
-        self, record: MeasurementRecord, calibration: ActiveCalibration, learner: Learner
+        self,
+        record: MeasurementRecord,
+        row_id: int,
+        calibration: ActiveCalibration,
+        learner: Learner,
     ) -> MeasurementRecord:
         pairs, _ = load_pairs(self.archive, record.slot_utc)
         measurement = measure_in_record(
-            self.store, self.site, calibration, learner, record.slot_utc, pairs
+            *(self.store.as_before(row_id), self.site, calibration, learner),
+            *(record.slot_utc, pairs),
         )
         return replace(record, measurement=measurement)
 

@@ -64,6 +64,8 @@ def measure_in_record(
 ) -> Measurement:
     """Measure a slot's pairs and hold the result against the rows before; nothing is written.
 
+    Those are the rows before the slot in time that `store` knows: one that was written later, or
+    has its values as of a wrong clock's time, is none of them.
     An undated slot is held against all rows, and nothing learnt serves it. Raises StoreError.
     """
     before_utc = NEVER if undated else slot_utc
@@ -71,7 +73,7 @@ def measure_in_record(
     learnt = None
     if not undated and calibration is not None and calibration.id is not None:
         hours = partial(store.hourly_closures, calibration.id)
-        learnt = learner.at(slot_utc, calibration, hours)
+        learnt = learner.at(slot_utc, calibration, hours, store.state_before)
     alone = measure(pairs, site, calibration, past, learnt)
     return judge_in_history(store, calibration, site.quality, before_utc, alone)
 

@@ -14,6 +14,7 @@ from daemon.clock.downtime import absence_text, read_absence
 from daemon.control.camera_lease import CameraLease
 from daemon.errors import DatabaseDamagedError, StoreError
 from daemon.schedule import MissedSlots, Schedule
+from daemon.slots.measuring_again import MeasuringAgain
 from daemon.slots.pipeline import Missed, SlotContext, record_late, run_slot
 from daemon.slots.recovery import is_wrong, mark_finished
 from daemon.slots.reporting import Reporter
@@ -78,6 +79,7 @@ class SlotRunner:
         """When the work of the last slot had ended."""
         self._last_undated: datetime | None = None
         """The last slot of the wrong clock, since it was stepped."""
+        self._measuring_again = MeasuringAgain(context, stop)
         self._was_right: bool | None = None
         """Whether the clock was disciplined when last looked at."""
 
@@ -104,7 +106,7 @@ class SlotRunner:
                 self._run_undated(slot)
             else:
                 self._run(slot)
-            self._tend_disk(slot)
+            self._use_the_rest(slot)
             self._ended_utc = self._context.clock.now_utc()
             done += 1
         self._settle_debts()
@@ -145,13 +147,20 @@ class SlotRunner:
             "overloaded"
         )
 
-    def _tend_disk(self, slot: datetime) -> None:
-        """Make room between slots, as long as that delays none."""
+    def _use_the_rest(self, slot: datetime) -> None:
+        """Make room and measure again what waits for it, as long as that delays no slot."""
+        slot_s = self._context.clock.monotonic_s() - self._begun_s
+        if (room_s := self._room_s()) is not None:
+            self._context.disk.tend(slot, room_s)
+        if (room_s := self._room_s()) is not None:
+            self._measuring_again.tend(room_s, slot_s)
+
+    def _room_s(self) -> float | None:
+        """The time to the next slot; None while the clock is wrong."""
         now_utc = self._context.clock.now_utc()
         if self._is_wrong(now_utc):
-            return
-        next_utc = self._schedule.next_slot(now_utc, self._last)
-        self._context.disk.tend(slot, (next_utc - now_utc).total_seconds())
+            return None
+        return (self._schedule.next_slot(now_utc, self._last) - now_utc).total_seconds()
 
     def _owe_to_clock(self, missed: MissedSlots) -> None:
         """The clock was wrong since this boot; what was missed before it has a cause of its own."""

@@ -3,7 +3,8 @@
 The seconds since the boot tell how long ago a pair was taken, whatever the wall clock said then.
 Once something disciplines the clock (NTP, PTP), or an operator vouches for it, the true time of a
 pair is now minus that. Each pair moves in a transaction of its own, after its frames; what was cut
-off is done again.
+off is done again. Its values are those of the wrong time until it is measured again:
+`measuring_again`.
 """
 
 from __future__ import annotations
@@ -56,6 +57,8 @@ class Books:
     store: Store
     state: Path
     schedule: Schedule
+    unseen: int = 0
+    """Rows that are just being measured, held against rows that move meanwhile: 1 beside dcamd."""
 
     @property
     def archive(self) -> FrameArchive:
@@ -112,7 +115,7 @@ def put_right(context: SlotContext, schedule: Schedule) -> Redated:
     done = redate(books, rows, undated, true_utc)
     now_utc = context.clock.now_utc()
     booted_utc = now_utc - timedelta(seconds=context.machine.uptime_s())
-    account_for_moved(books, rows, now_utc, booted_utc)
+    account_for_moved(books, rows, true_utc, now_utc, booted_utc)
     detail = f"{done.dated} undated pairs dated, {done.moved} rows moved, {done.left} left"
     context.store.add_event(context.clock.now_utc(), "redated", detail)
     _log.warning("redated", dated=done.dated, moved=done.moved, left=done.left)
@@ -173,6 +176,7 @@ def finish_moves(context: SlotContext, since: datetime) -> set[datetime]:
 def account_for_moved(
     books: Books,
     rows: Sequence[MeasurementRecord],
+    true_utc: TrueTime,
     now_utc: datetime,
     booted_utc: datetime | None = None,
 ) -> None:
@@ -187,8 +191,10 @@ def account_for_moved(
     due_utc = schedule.last_due(now_utc)
     store.cut_gaps_after(due_utc)
     slots = [row.slot_utc for row in rows]
+    # A row may go to before the record's beginning.
+    first_utc = min(*slots, *(schedule.nearest(true_utc(row)) for row in rows))
     end_utc = due_utc if booted_utc else min(due_utc, max(slots) + SECOND)
-    missed = schedule.missed_between(min(slots) - SECOND, end_utc)
+    missed = schedule.missed_between(first_utc - SECOND, end_utc)
     absence = read_absence(store)
     if missed is None:
         return
@@ -235,6 +241,7 @@ def _move(books: Books, row: MeasurementRecord, true_utc: datetime) -> bool:
             sub_frame=stored.sub_path if stored else row.sub_frame,
             redated_from_utc=row.redated_from_utc or row.slot_utc,
         ),
+        books.unseen,
     )
     if stored:
         clear_pairs(archive, row.slot_utc)
@@ -252,7 +259,8 @@ def _set_aside(books: Books, row: MeasurementRecord) -> None:
             row,
             main_frame=f"{prefix}/{stored.main_path}" if stored else None,
             sub_frame=f"{prefix}/{stored.sub_path}" if stored else None,
-        )
+        ),
+        books.unseen,
     )
     clear_pairs(books.archive, row.slot_utc)
 
@@ -275,6 +283,7 @@ def _date(books: Books, number: int, record: MeasurementRecord, true_utc: dateti
             main_frame=stored.main_path if stored else None,
             sub_frame=stored.sub_path if stored else None,
             redated_from_utc=record.slot_utc,
+            recorded_late=False,
         ),
     )
     if source is not None:

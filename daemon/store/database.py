@@ -40,13 +40,14 @@ from daemon.store.records import (
     MeasurementRecord,
     PastRows,
 )
-from daemon.store.rows import calibrations, datum, events, frame_days, measurements, undated
+from daemon.store.rows import calibrations, datum, events, frame_days, measurements, past
 from daemon.store.rows import gaps as gap_runs
 from daemon.store.rows.convert import measurement_record
 from daemon.store.rows.hourly_closures import hourly_closures
+from daemon.store.rows.known import NEWEST
 from daemon.store.runs import run_between, schedule_slots
 from daemon.store.sqlite import existing_path
-from daemon.store.transactions import Transactions
+from daemon.store.wrong_clock import WrongClock
 
 ALWAYS = datetime(1, 1, 1, tzinfo=UTC)
 NEVER = datetime(9999, 12, 31, tzinfo=UTC)
@@ -98,8 +99,12 @@ def _closed_on_error(engine: Engine) -> Iterator[None]:
         raise
 
 
-class Store(Transactions):
+class Store(WrongClock):
     """An open database; use `open_store` or `open_store_readonly`."""
+
+    def __init__(self, path: Path, engine: Engine, before_id: int = NEWEST) -> None:
+        super().__init__(path, engine)
+        self._before_id = before_id
 
     # Measurements
 
@@ -115,6 +120,15 @@ class Store(Transactions):
         """The row of a slot."""
         with self._read() as connection:
             return measurements.find(connection, slot_utc)
+
+    def row_id(self, slot_utc: datetime) -> int | None:
+        """The id of a slot's row: ids grow in the order of writing."""
+        with self._read() as connection:
+            return measurements.row_id(connection, slot_utc)
+
+    def as_before(self, row_id: int) -> Store:
+        """The same database; as past rows it gives those that were written before a row."""
+        return Store(self.path, self._engine, row_id)
 
     def measurements(
         self, since: datetime = ALWAYS, until: datetime = NEVER
@@ -144,8 +158,10 @@ class Store(Transactions):
         Only those by one calibration whose reasons, as the table holds them, are among the given.
         """
         with self._read() as connection:
-            return measurements.past(
-                connection, calibration_id, reasons, since, until, limit, newest=newest
+            return past.past(
+                *(connection, calibration_id, reasons, since, until, limit),
+                before_id=self._before_id,
+                newest=newest,
             )
 
     def rows_with_targets(
@@ -153,11 +169,18 @@ class Store(Transactions):
     ) -> list[MeasurementRecord]:
         """The last rows before a slot that say something of further targets, in order."""
         with self._read() as connection:
-            return measurements.last_with_targets(connection, slot_utc, calibration_id, limit)
+            return past.last_with_targets(
+                connection, slot_utc, calibration_id, limit, self._before_id
+            )
 
     def hourly_closures(self, calibration_id: int, since: datetime, until: datetime) -> FloatArray:
         """Closures of a calibration's rows by the hour, see `daemon.store.rows.hourly_closures`."""
-        return hourly_closures(self.path, calibration_id, since, until)
+        return hourly_closures(self.path, calibration_id, since, until, self._before_id)
+
+    def state_before(self, slot_utc: datetime) -> tuple[int, int]:
+        """Changes when another row before a slot is known, or one was dated again."""
+        with self._read() as connection:
+            return past.state_before(connection, slot_utc, self._before_id)
 
     def measured_slots(self, since: datetime = ALWAYS, until: datetime = NEVER) -> set[datetime]:
         """The slots that have a row, since <= slot < until."""
@@ -173,56 +196,6 @@ class Store(Transactions):
         """The latest slot with a row."""
         with self._read() as connection:
             return measurements.last_slot(connection)
-
-    # Times put right
-
-    def add_undated(self, record: MeasurementRecord) -> None:
-        """Keep a pair that was taken while the clock was before the last slot.
-
-        Raises StoreError for a measurement that is not finite, or that does not know its boot.
-        """
-        with self._write() as session:
-            undated.add(session, self.path, record)
-
-    def undate(self, record: MeasurementRecord) -> None:
-        """Turn a row into an undated pair, as the record says: its time is known to be wrong."""
-        with self._write() as session:
-            measurements.remove(session, record.slot_utc)
-            undated.add(session, self.path, record)
-
-    def undated(self, boot_id: str | None = None) -> list[tuple[int, MeasurementRecord]]:
-        """What waits for its slot, of one boot if given: ids and records as taken, in order."""
-        with self._session() as session:
-            return undated.undated_records(session, boot_id)
-
-    def date(self, undated_id: int, record: MeasurementRecord) -> None:
-        """Write the row of an undated pair whose slot is known now. Raises as add_measurement."""
-        with self._write() as session:
-            measurements.add(session, self.path, record)
-            undated.forget(session, undated_id)
-
-    def move_row(self, from_slot_utc: datetime, record: MeasurementRecord) -> None:
-        """Give a row that a wrong clock had dated its true slot; all else in it stays.
-
-        Raises SlotTakenError, and StoreError when no row is there.
-        """
-        with self._write() as session:
-            measurements.move(session, self.path, from_slot_utc, record)
-
-    def last_slot_but(self, boot_id: str) -> datetime | None:
-        """The latest slot with a row, but for what a boot took under an undisciplined clock."""
-        with self._read() as connection:
-            return measurements.last_slot_but(connection, boot_id)
-
-    def unsynchronised_rows(self, boot_id: str) -> list[MeasurementRecord]:
-        """The rows that a boot took while nothing disciplined the clock, in order."""
-        with self._read() as connection:
-            return measurements.unsynchronised(connection, boot_id)
-
-    def moved_from(self, since: datetime = ALWAYS) -> set[datetime]:
-        """Slots, from `since` on, whose row was moved to another: their frames belong to that."""
-        with self._read() as connection:
-            return measurements.moved_from(connection, since)
 
     # Gaps
 

@@ -123,7 +123,8 @@ class MeasurementRecord:
     redated_from_utc: datetime | None = None
     """The slot that a wrong clock gave it at first; None for nearly all rows."""
     recorded_late: bool = False
-    """The frames were found without a row after a restart, and measured then."""
+    """Made from its kept frames later: found without a row after a restart, or measured again as of
+    its true time."""
     main_camera: CameraState = field(default_factory=CameraState)
     sub_camera: CameraState = field(default_factory=CameraState)
 
@@ -141,6 +142,36 @@ class MeasurementRecord:
     def reading_values(self) -> dict[str, float]:
         """The readings that have a value, by name."""
         return values_of(self.readings)
+
+
+class Again(StrEnum):
+    """What came of measuring a row again that a wrong clock had dated: a closed list."""
+
+    MEASURED = "measured"
+    """Its values are those of its true time now."""
+    NO_FRAMES = "no_frames"
+    """Its images were not kept, or are removed."""
+    UNREADABLE = "frames_unreadable"
+    NO_CALIBRATION = "no_calibration"
+    """It was measured without one, or that one is lost."""
+    BROKE = "broke"
+    """A fault of the program; the log has it."""
+    MOVED = "moved"
+    """It went to another slot before, or became undated."""
+
+
+@dataclass(frozen=True, slots=True)
+class RedatedRecord:
+    """What a wrong clock had dated."""
+
+    slot_utc: datetime | None
+    """The slot that it got; None of a row that became an undated pair."""
+    before: MeasurementRecord
+    """As it was before, under the slot that it had."""
+    again: Again | None
+    """None: it waits to be measured again."""
+    seen_by: range
+    """The ids of rows that may have been held against it as it was."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -177,6 +177,27 @@ class UndatedRow(Base):
     """JSON: the columns of its `measurement` row, the slot by the wrong clock."""
 
 
+class RedatedRow(Base):
+    """What a wrong clock had dated, as it was then; triggers refuse to change or delete that."""
+
+    __tablename__ = "redated"
+    __table_args__ = (Index("ix_redated_waiting", "slot_utc", sqlite_where=text("again IS NULL")),)
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    slot_utc: Mapped[datetime | None]
+    """The slot that it got; NULL of a row that became an undated pair."""
+    from_slot_utc: Mapped[datetime]
+    """The slot that it had."""
+    content: Mapped[str]
+    """JSON: the columns of its `measurement` row before."""
+    row_id: Mapped[int | None]
+    """The id of that row; NULL of an undated pair."""
+    newest_id: Mapped[int | None]
+    """The last row that may have been held against it under the slot that it had."""
+    again: Mapped[str | None]
+    """What came of measuring it again, see `records.Again`; NULL: it waits."""
+
+
 class GapRow(Base):
     """Missed slots `start + k * period_s`, k = 0 .. slots - 1, with one cause."""
 

@@ -23,6 +23,7 @@ from daemon.store.runs import slot_at
 from daemon.store.salvage.damage import program_tables, wrong_rows
 from daemon.store.salvage.salvage import LOST
 from daemon.store.sqlite import any_text, connect_readonly, is_damage, said_plainly
+from daemon.text import count_of
 from daemon.times import slot_text
 
 SALVAGE = "restart dcamd: it sets the file aside and saves all else"
@@ -110,7 +111,8 @@ def reference_findings(path: Path) -> Iterator[Finding]:
             " AND calibration_id NOT IN (SELECT id FROM calibration) GROUP BY calibration_id"
         )
         for number, count, first in lost.fetchall():
-            text = f"{count} row(s) from {first} on name calibration {number}, which is not there"
+            rows = count_of(count, "row")
+            text = f"calibration {number} is not there, but is that of {rows} from {first} on"
             yield Finding("reference", path.name, text, REPORT)
         for number, method, content in connection.execute(
             "SELECT id, method, content FROM calibration"

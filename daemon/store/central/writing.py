@@ -154,10 +154,12 @@ def _move(connection: Connection, site_id: int, rows: Sequence[dict[str, Any]]) 
     Give the months of those.
     """
     table = MEASUREMENT.c
-    taken = [(row["id"], row["boot_id"], row["uptime_s"]) for row in rows]
+    # Its id is another one since it was measured again; the slot that it had first stays.
+    taken = [(row["boot_id"], row["uptime_s"], row["redated_from_utc"]) for row in rows]
+    first = func.coalesce(table.redated_from_utc, table.slot_utc)
     gone = connection.scalars(
         delete(MEASUREMENT)
-        .where(table.site_id == site_id, tuple_(table.id, table.boot_id, table.uptime_s).in_(taken))
+        .where(table.site_id == site_id, tuple_(table.boot_id, table.uptime_s, first).in_(taken))
         .returning(table.slot_utc)
     ).all()
     row = insert(MEASUREMENT)

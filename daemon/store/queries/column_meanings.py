@@ -66,7 +66,10 @@ MEANINGS: dict[str, Meaning] = {
     "uptime_s": Meaning("s", "time of the capture since that run began"),
     "clock_synchronised": Meaning("", "whether something (NTP, PTP) kept the computer's clock"),
     "redated_from_utc": Meaning("", "the slot that a wrong clock had given the row at first"),
-    "recorded_late": Meaning("", "whether the row was made from its frames after a restart"),
+    "recorded_late": Meaning(
+        "",
+        "whether the row was made from its frames later: after a restart, or as of its true time",
+    ),
     "calibration_id": Meaning("", "number of the calibration that it was measured with"),
     "config_hash": Meaning("", "short hash of the config that it was measured with"),
     "version": Meaning(

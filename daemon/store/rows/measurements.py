@@ -7,24 +7,18 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
-import numpy as np
-from sqlalchemy import select
+from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from daemon.errors import DamagedRowError, SlotTakenError, StoreError
+from daemon.errors import SlotTakenError, StoreError
 from daemon.store.integrity.reading import fetch, value, whole_rows
-from daemon.store.records import MeasurementRecord, PastRows
-from daemon.store.rows import gaps
+from daemon.store.records import MeasurementRecord
+from daemon.store.rows import gaps, redated
 from daemon.store.rows.convert import measurement_columns, measurement_record, stored_time
 from daemon.store.runs import next_second
 from daemon.store.schema import MeasurementRow
 from daemon.times import slot_text
 
-_PAST = (
-    *("x_mm", "y_mm", "raw_x_mm", "raw_y_mm", "tx_mm", "ty_mm", "tz_mm"),
-    *("coalesce(sigma_image_x_mm, sigma_x_mm)", "coalesce(sigma_image_y_mm, sigma_y_mm)"),
-    *("closure_x_mm", "closure_y_mm", "sub_residual_px", "sub_contrast_dn"),
-)
 _WITHIN = "slot_utc >= ? AND slot_utc < ?"
 
 
@@ -43,24 +37,40 @@ def add(session: Session, path: Path, record: MeasurementRecord) -> None:
     session.add(row)
 
 
-def move(session: Session, path: Path, from_slot_utc: datetime, record: MeasurementRecord) -> None:
+def move(
+    session: Session, path: Path, from_slot_utc: datetime, record: MeasurementRecord, unseen: int
+) -> None:
     """Give a row that a wrong clock had dated its true slot; all else in it stays.
 
-    Raises SlotTakenError, and StoreError when no row is there.
+    It is kept as it was, and waits to be measured again (`rows.redated`). Raises SlotTakenError,
+    and StoreError when no row is there.
     """
     row = _row(session, from_slot_utc)
     if row is None:
         msg = f"{path}: slot {slot_text(from_slot_utc)} has no row"
         raise StoreError(msg)
+    redated.keep_row(session, row, record.slot_utc, unseen)
     _take_slot(session, path, record.slot_utc)
     row.slot_utc, row.captured_utc = record.slot_utc, record.captured_utc
     row.main_frame, row.sub_frame = record.main_frame, record.sub_frame
-    row.redated_from_utc = record.redated_from_utc
+    row.redated_from_utc, row.recorded_late = record.redated_from_utc, False
 
 
-def remove(session: Session, slot_utc: datetime) -> None:
-    """Take a slot's row out."""
-    session.delete(_row(session, slot_utc))
+def remove(session: Session, slot_utc: datetime, unseen: int) -> None:
+    """Take a slot's row out; what it was is kept (`rows.redated`)."""
+    row = _row(session, slot_utc)
+    if row is not None:
+        redated.keep_row(session, row, None, unseen)
+        session.delete(row)
+
+
+def replace(session: Session, record: MeasurementRecord) -> None:
+    """Put a row in the place of that of its slot: it is the last one written."""
+    columns = measurement_columns(record)
+    newest_id = session.scalar(select(func.max(MeasurementRow.id))) or 0
+    session.delete(_row(session, record.slot_utc))
+    session.flush()  # or the new row would be written before the old one is gone
+    session.add(MeasurementRow(id=newest_id + 1, **columns))
 
 
 def _take_slot(session: Session, path: Path, slot_utc: datetime) -> None:
@@ -80,69 +90,12 @@ def _row(session: Session, slot_utc: datetime) -> MeasurementRow | None:
 
 def find(connection: sqlite3.Connection, slot_utc: datetime) -> MeasurementRecord | None:
     """The row of a slot."""
-    return _first(_records(connection, "slot_utc = ?", slot_text(slot_utc)))
-
-
-def past(
-    connection: sqlite3.Connection,
-    calibration_id: int,
-    reasons: Sequence[str],
-    since: datetime,
-    until: datetime,
-    limit: int,
-    *,
-    newest: bool = True,
-) -> PastRows:
-    """The last (or first) rows with a value and since <= slot < until, by one calibration.
-
-    Only those whose reasons, as the table holds them, are among the given. Raises DamagedRowError.
-    """
-    query = (
-        f"SELECT CAST(strftime('%s', slot_utc) AS INTEGER), {', '.join(_PAST)} FROM measurement"  # noqa: S608 - our own words
-        " WHERE calibration_id = ? AND reasons = ? AND slot_utc >= ? AND slot_utc < ?"
-        f" AND x_mm IS NOT NULL ORDER BY slot_utc {'DESC' if newest else 'ASC'} LIMIT ?"
-    )
-    begin, end = _limits(since, until)
-    # One after the other, so that the index gives the last ones of each without a search.
-    found = [
-        row
-        for word in reasons
-        for row in fetch(connection, query, calibration_id, word, begin, end, limit)
-    ]
-    found = sorted(found)[-limit:] if newest else sorted(found)[:limit]
-    try:
-        table = np.array(found, dtype=np.float64).reshape(len(found), 1 + len(_PAST))
-    except (TypeError, ValueError) as error:
-        msg = f"a number of a row is none: {error}"
-        raise DamagedRowError(msg) from error
-    columns = np.split(table, np.cumsum([1, 2, 2, 3, 2, 2, 1]), axis=1)
-    time_s, mm, raw_mm, translation_mm, sigma_mm, closure_mm, residual_px, contrast_dn = columns
-    return PastRows(
-        time_s[:, 0],
-        mm,
-        raw_mm,
-        translation_mm,
-        sigma_mm,
-        closure_mm,
-        residual_px[:, 0],
-        contrast_dn[:, 0],
-    )
-
-
-def last_with_targets(
-    connection: sqlite3.Connection, slot_utc: datetime, calibration_id: int, limit: int
-) -> list[MeasurementRecord]:
-    """The last rows before a slot, by one calibration, that say something of further targets."""
-    where = (
-        "calibration_id = ? AND slot_utc < ? AND targets IS NOT NULL ORDER BY slot_utc DESC LIMIT ?"
-    )
-    before = slot_text(next_second(slot_utc))
-    return _records(connection, where, calibration_id, before, limit)[::-1]
+    return _first(records(connection, "slot_utc = ?", slot_text(slot_utc)))
 
 
 def unsynchronised(connection: sqlite3.Connection, boot_id: str) -> list[MeasurementRecord]:
     """The rows that a boot took while nothing disciplined the clock, in order."""
-    return _records(connection, "boot_id = ? AND clock_synchronised = 0 ORDER BY id", boot_id)
+    return records(connection, "boot_id = ? AND clock_synchronised = 0 ORDER BY id", boot_id)
 
 
 def slots(connection: sqlite3.Connection, since: datetime, until: datetime) -> set[datetime]:
@@ -158,6 +111,12 @@ def reasons(
     query = f"SELECT slot_utc, reasons FROM measurement WHERE {_WITHIN} ORDER BY slot_utc"  # noqa: S608
     found = fetch(connection, query, *_limits(since, until))
     return {stored_time(slot): words for slot, words in found}
+
+
+def row_id(connection: sqlite3.Connection, slot_utc: datetime) -> int | None:
+    """The id of a slot's row."""
+    found = value(connection, "SELECT id FROM measurement WHERE slot_utc = ?", slot_text(slot_utc))
+    return None if found is None else int(found)
 
 
 def last_slot(connection: sqlite3.Connection) -> datetime | None:
@@ -177,8 +136,11 @@ def last_slot_but(connection: sqlite3.Connection, boot_id: str) -> datetime | No
 
 
 def moved_from(connection: sqlite3.Connection, since: datetime) -> set[datetime]:
-    """Slots, from `since` on, whose row was moved to another: their frames belong to that."""
-    query = "SELECT redated_from_utc FROM measurement WHERE redated_from_utc >= ?"
+    """Slots, from `since` on, whose row went elsewhere: their frames belong to that."""
+    query = (
+        "SELECT redated_from_utc FROM measurement WHERE redated_from_utc >= ?1"
+        " UNION SELECT from_slot_utc FROM redated WHERE from_slot_utc >= ?1"
+    )
     found = fetch(connection, query, slot_text(next_second(since)))
     return {stored_time(text) for (text,) in found}
 
@@ -187,9 +149,10 @@ def _limits(since: datetime, until: datetime) -> tuple[str, str]:
     return slot_text(next_second(since)), slot_text(next_second(until))
 
 
-def _records(
+def records(
     connection: sqlite3.Connection, where: str, *parameters: object
 ) -> list[MeasurementRecord]:
+    """The rows that a condition holds of."""
     query = f"SELECT * FROM measurement WHERE {where}"  # noqa: S608 - our own words
     return [
         measurement_record(row) for row in whole_rows(connection, "measurement", query, *parameters)

@@ -6,12 +6,13 @@ import json
 from datetime import datetime
 from pathlib import Path
 
-from sqlalchemy import delete, select
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from daemon.errors import StoreError
 from daemon.store.records import MeasurementRecord
 from daemon.store.rows.convert import measurement_columns, measurement_record
+from daemon.store.rows.redated import keep_undated
 from daemon.store.schema import MeasurementRow, UndatedRow
 from daemon.times import instant_text
 
@@ -46,9 +47,11 @@ def undated_records(session: Session, boot_id: str | None) -> list[tuple[int, Me
     return [(row.id, _record(row)) for row in session.scalars(query)]
 
 
-def forget(session: Session, undated_id: int) -> None:
-    """Take one out, in the transaction that gives it its slot."""
-    session.execute(delete(UndatedRow).where(UndatedRow.id == undated_id))
+def date(session: Session, undated_id: int, record: MeasurementRecord) -> None:
+    """Take one out, in the transaction that gives it its slot; what it was is kept."""
+    row = session.get_one(UndatedRow, undated_id)
+    keep_undated(session, row.content, _record(row).slot_utc, record.slot_utc)
+    session.delete(row)
 
 
 def _record(row: UndatedRow) -> MeasurementRecord:

@@ -15,8 +15,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import structlog
-from sqlalchemy import func, select
-from sqlalchemy.orm import Session
+from sqlalchemy import exists, func, select
+from sqlalchemy.orm import Session, aliased
 
 from daemon.durable import fsync_directory, fsync_file, temporary_name
 from daemon.store.damage_note import (
@@ -43,6 +43,7 @@ from daemon.store.schema import (
     EventRow,
     MarkRow,
     MeasurementRow,
+    RedatedRow,
 )
 from daemon.store.sqlite import connect
 from daemon.version import VERSION
@@ -162,6 +163,7 @@ def _finish(temporary: Path, carried: Carried, note: Note, now_utc: datetime) ->
     try:
         upgrade(engine)
         with CheckedSession(engine) as session, session.begin():
+            _remove_moved(session)
             _enter_gaps(session, carried)
             _stand_in_for_lost_calibrations(session, now_utc)
             _restore_activation(session, now_utc)
@@ -188,6 +190,15 @@ def _enter_gaps(session: Session, carried: Carried) -> None:
             continue
         record_missed(session, run, cause, str(gap["detail"]))
         carried.rows["gap"] += 1
+
+
+def _remove_moved(session: Session) -> None:
+    """An older page may have given a row under the slot that a wrong clock had given it."""
+    row, left, back = MeasurementRow, RedatedRow, aliased(RedatedRow)
+    came_back = exists().where(back.row_id == row.id, back.slot_utc == row.slot_utc)
+    went_away = (left.row_id == row.id) & (left.from_slot_utc == row.slot_utc)
+    for moved in session.scalars(select(row).join(left, went_away).where(~came_back)).unique():
+        session.delete(moved)
 
 
 def _stand_in_for_lost_calibrations(session: Session, now_utc: datetime) -> None:

@@ -65,8 +65,8 @@ def test_the_demo_calibrates_runs_and_compares_with_the_truth(ctl: Ctl, small: P
     assert "DCAM " in ran.out
     assert "Coverage: " in ran.out
     assert "camera_lost" in ran.out
-    (gaps,) = (line for line in ran.out.splitlines() if "gap(s)" in line)
-    assert gaps == "1 gap(s), 5 slots missed"
+    (gaps,) = (line for line in ran.out.splitlines() if line.startswith("1 gap,"))
+    assert gaps == "1 gap, 5 slots missed"
     table = {
         line.split("  ")[0]: line.split()[-2:]
         for line in ran.out.splitlines()
@@ -108,13 +108,13 @@ def _assert_rows_can_be_made_once_more(ctl: Ctl, directory: Path) -> None:
         ran = ctl(*verify)
         assert ran.code == 0, ran.out
         assert "\n18 rows made once more from their frames" in ran.out
-        assert "\n1 rows that a wrong clock had dated" in ran.out
+        assert "\n1 row that a wrong clock had dated" in ran.out
         assert "1 come out otherwise now, by 0.001 mm at most\n" in ran.out
         _write(connection, row | {"y_mm": row["y_mm"] + 0.25, "version": "0.1.0+0badc0de"})
         ran = ctl(*verify)
         assert ran.code == 0, ran.out
         assert "\n18 rows made once more from their frames" in ran.out
-        assert "\n1 rows of other numerics" in ran.out
+        assert "\n1 row of other numerics" in ran.out
         assert "1 come out otherwise now, by 0.25 mm at most\n" in ran.out
 
 

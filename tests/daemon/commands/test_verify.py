@@ -140,7 +140,7 @@ def changed(*statements: str) -> Callable[[Site], object]:
             changed("PRAGMA foreign_keys=OFF", "UPDATE measurement SET calibration_id = 7"),
             "reference",
             "dcam.db",
-            "8 row(s) from 2026-03-01T00:00:00Z on name calibration 7, which is not there",
+            "calibration 7 is not there, but is that of 8 rows from 2026-03-01T00:00:00Z on",
         ),
         (
             removed("000500_main.png"),
@@ -183,7 +183,7 @@ def test_what_is_wrong_is_found_and_named(
     lines = site.verify().out.splitlines(keepends=True)
     number = len(reported["findings"])
     verdict, *counts = counts_of("".join(lines[number:]))
-    assert verdict == f"{number} finding(s)"
+    assert verdict == f"{number} finding{'s' if number > 1 else ''}"
     assert counts[:3] == [reported["rows"], reported["slots"], reported["images"]]
 
 

@@ -138,6 +138,28 @@ def test_rows_whose_times_were_put_right_are_there_under_their_true_slots_alone(
     assert rows_there(server.url(central), MEASUREMENT) == rows_here(state, MEASUREMENT)
 
 
+@pytest.mark.parametrize("told_between", [False, True])
+def test_rows_that_were_measured_again_are_there_once(
+    server: Server, central: str, pier: Pier, *, told_between: bool
+) -> None:
+    """A measured-again row has another id, whether the centre had heard of its true slot or not."""
+    state = pier("one", 12)
+    sync(server.url(central), state)
+    with open_store(state) as store:
+        for minute in range(4, 12):
+            moved = replace(row_at(slot(minute + 100)), redated_from_utc=slot(minute))
+            store.move_row(slot(minute), moved)
+        if told_between:
+            sync(server.url(central), state)
+        add_rows(state, range(12, 14))
+        while (waiting := store.next_to_measure_again()) is not None:
+            number, slot_utc = waiting
+            measured = replace(row_at(slot_utc), redated_from_utc=slot_utc - slot(100) + slot(0))
+            store.measured_again(number, measured)
+    sync(server.url(central), state, batch=3)
+    assert rows_there(server.url(central), MEASUREMENT) == rows_here(state, MEASUREMENT)
+
+
 def test_gaps_that_grow_and_go_are_followed(server: Server, central: str, pier: Pier) -> None:
     state = pier("one", 1)
     with open_store(state) as store:

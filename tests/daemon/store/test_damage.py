@@ -7,6 +7,7 @@ import shutil
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -19,9 +20,7 @@ from daemon.store.records import Mark
 from daemon.store.salvage import damage
 from daemon.store.sqlite import connect_readonly
 from tests.daemon.store.damaged import ROWS, Row, opened_and_read, rows_of, wrong
-from tests.daemon.store.examples import (
-    calibration,
-)
+from tests.daemon.store.examples import calibration, full_record, slot
 from tests.exhaustive import one_of
 
 
@@ -124,6 +123,28 @@ def test_everything_that_is_whole_is_carried_over(state: Path, sound: Path) -> N
         assert store.get_mark(Mark.SALVAGED) == reported
     assert open_checked_store(state).damage is None
     assert len(databases_set_aside(state)) == 1
+
+
+def test_a_row_of_a_wrong_clock_does_not_come_back_under_its_wrong_slot(tmp_path: Path) -> None:
+    """The log has the page with the row as it was first, too."""
+    state = tmp_path / "left"
+    with open_store(tmp_path / "live") as store:
+        for number in range(5):
+            store.add_measurement(full_record(slot(number), calibration_id=None))
+        row = store.measurement(slot(0))
+        store.move_row(slot(0), replace(row, slot_utc=slot(300), redated_from_utc=slot(0)))
+        number, _ = store.next_to_measure_again()
+        again = replace(store.measurement(slot(300)), recorded_late=True)
+        store.measured_again(number, again)
+        shutil.copytree(tmp_path / "live", state)  # as a cut of the power leaves it
+    with (state / "dcam.db").open("r+b") as file:
+        file.write(bytes(4096))
+    (state / "dcam.db-shm").unlink(missing_ok=True)
+    opened_and_read(state)
+    assert databases_set_aside(state)
+    with open_store_readonly(state) as store:
+        assert store.measured_slots() == {slot(number) for number in (1, 2, 3, 4, 300)}
+        assert store.measurement(slot(300)).recorded_late
 
 
 def test_a_lost_calibration_leaves_its_number_and_never_an_older_one_in_use(

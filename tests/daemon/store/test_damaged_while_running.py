@@ -19,7 +19,7 @@ from tests.programs import ran
 from tests.waiting import PATIENCE_S
 
 SMALL_DISK = """
-mount -t tmpfs -o size=200k tmpfs "$0" && cp "$1"/dcam.db "$0" || exit 77
+mount -t tmpfs -o size=208k tmpfs "$0" && cp "$1"/dcam.db "$0" || exit 77
 shift; "$@"; code=$?; ls "$0" >&2; exit $code
 """
 """A command on a copy of a state that takes up most of its disk."""
