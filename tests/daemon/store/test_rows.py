@@ -6,7 +6,7 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from dataclasses import fields, replace
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -209,3 +209,65 @@ def test_a_lock_that_stays_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
             store.add_measurement(record(slot(0)))
         other.execute("COMMIT")
         store.add_measurement(record(slot(0)))
+
+
+def known(store: Store, before: int) -> list[set[int]]:
+    """The minutes of the rows that a row of a minute is held against, by each question for them."""
+    past = store.past_rows(1, [SAID], 100, until=slot(before))
+    hours = store.hourly_closures(1, START, slot(before))
+    return [
+        {round((time_s - START.timestamp()) / 60.0) for time_s in past.time_s},
+        {minute_of(row.slot_utc) for row in store.rows_with_targets(slot(before), 1, 100)},
+        {round((middle_s - START.timestamp()) / 60.0) - 30 for middle_s in hours[:, 0]},
+    ]
+
+
+SAID = "too_dark+main_target_partly_hidden"
+
+
+def minute_of(slot_utc: datetime) -> int:
+    return round((slot_utc - START) / timedelta(minutes=1))
+
+
+def test_a_row_is_held_against_those_that_were_written_before_it(store: Store) -> None:
+    """One that comes later to an earlier slot is none: a rebuild gives the row as it was."""
+    store.add_calibration(calibration())
+    plain = replace(full_record(slot(0), 1), redated_from_utc=None)
+    hours = [replace(plain, slot_utc=START + timedelta(hours=hour)) for hour in range(3)]
+    for written in (hours[0], hours[2], hours[1]):
+        store.add_measurement(written)
+    assert known(store, 180) == [{0, 60, 120}] * 3
+    as_it_was = store.as_before(store.row_id(hours[1].slot_utc))
+    assert known(as_it_was, 180) == [{0, 120}] * 3
+
+
+def test_no_row_is_held_against_one_with_values_of_a_wrong_time(store: Store) -> None:
+    """Until it was measured again; and what it was before stays."""
+    store.add_calibration(calibration())
+    plain = replace(full_record(slot(0), 1), redated_from_utc=None)
+    for hour in range(3):
+        store.add_measurement(replace(plain, slot_utc=START + timedelta(hours=hour)))
+    moved = replace(plain, slot_utc=START + timedelta(hours=5), redated_from_utc=slot(60))
+    state = store.state_before(slot(400))
+    store.move_row(slot(60), moved)
+    assert known(store, 400) == [{0, 120}] * 3
+    assert store.state_before(slot(400)) != state
+    state = store.state_before(slot(400))
+    number, slot_utc = store.next_to_measure_again()
+    assert slot_utc == moved.slot_utc
+    store.measured_again(number, replace(moved, recorded_late=True))
+    assert known(store, 400) == [{0, 120, 300}] * 3
+    assert store.state_before(slot(400)) != state
+    assert store.next_to_measure_again() is None
+    (kept,) = store.redated()
+    assert same(kept.before, replace(plain, slot_utc=slot(60)))
+
+
+@pytest.mark.parametrize("change", ["DELETE FROM redated", "UPDATE redated SET content = '{}'"])
+def test_what_a_wrong_clock_had_dated_cannot_be_changed(
+    store: Store, tmp_path: Path, change: str
+) -> None:
+    store.add_measurement(record(slot(0)))
+    store.move_row(slot(0), replace(record(slot(9)), redated_from_utc=slot(0)))
+    with outside(tmp_path) as other, pytest.raises(sqlite3.IntegrityError, match="stays as it was"):
+        other.execute(change)
