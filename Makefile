@@ -33,10 +33,10 @@ venv: $(INSTALLED)
 demo: $(INSTALLED)
 	$(BIN)/dcam-ctl demo --output out/demo
 
-# Two processes more than cores: a third of the time a test waits, for a slot, a camera, a disk.
+# Three processes more than cores: much of the time a test waits, for a slot, a camera, a disk.
 test: $(INSTALLED)
 	@sh .ci/system-packages $(PYTHON) tests
-	$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 2)) --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 3)) --dist loadfile --no-loadscope-reorder
 
 # Each system call, operation on the disk, bit of a header and simulated site, where `make test` takes every third or so.
 exhaustive: $(INSTALLED)

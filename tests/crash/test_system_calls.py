@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
+from subprocess import PIPE
 
 import pytest
 
@@ -17,9 +16,8 @@ from daemon.store.sqlite import FILE_NAME
 from tests.crash.interrupted import CALLS, SLOTS
 from tests.crash.promises import Finished, Promises, broken, read_database
 from tests.exhaustive import one_of
-from tests.programs import require_attached, require_strace
+from tests.programs import Program, require_attached, require_strace
 
-TOP = Path(__file__).parents[2]
 END = SLOTS[-1] + timedelta(seconds=200)
 
 WRITING = ("mkdir", "rename", "unlink", "write", "pwrite64", "ftruncate", "fsync", "fdatasync")
@@ -61,16 +59,14 @@ class Interrupter:
         names = [str(self._number + number) for number in range(len(injections))]
         self._number += len(names)
         orders = "".join(f"{name} {one}\n" for name, one in zip(names, injections, strict=True))
-        result = subprocess.run(
-            [sys.executable, "-m", "tests.crash.interrupted", str(self._root)],
-            cwd=TOP,
-            input=orders,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert result.returncode == 0, result.stderr
-        answers = [json.loads(line) for line in result.stdout.splitlines()]
+        complaints = self._root / "complaints"
+        with Program(
+            "tests.crash.interrupted", self._root, stdin=PIPE, stdout=PIPE, stderr=complaints
+        ) as program:
+            program.stdin.write(orders)
+            program.stdin.close()
+            answers = [json.loads(line) for line in program.stdout]
+        assert program.returncode == 0, complaints.read_text()
         require_attached(answers[0]["strace"])
         return [
             InterruptedRun(
@@ -110,7 +106,7 @@ def calls_of(undisturbed: InterruptedRun, how: str, calls: Sequence[str]) -> lis
     return [
         f"{call}:{how}:when={number}"
         for call in calls
-        for number in range(1, undisturbed.calls[call] + 1, one_of(5))
+        for number in range(1, undisturbed.calls[call] + 1, one_of(8))
     ]
 
 
