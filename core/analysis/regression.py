@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 from scipy.special import stdtr, stdtrit
 
 from core.analysis.noise import (
+    AT_ONCE,
     DAY_S,
     MEMORIES_DAYS,
     Gls,
@@ -216,8 +217,10 @@ def step_information(whitening: Whitening, fit: Gls) -> FloatArray:
             ]
         )
     )
-    steps = (np.arange(n)[:, None] >= places).astype(np.float64)
-    own = whitening.squares(steps) / fit.variance_mm2
+    row = np.arange(n)[:, None]
+    blocks = (places[at : at + AT_ONCE] for at in range(0, len(places), AT_ONCE))
+    squares = [whitening.squares((row >= block).astype(np.float64)) for block in blocks]
+    own = np.concatenate(squares) / fit.variance_mm2
     shared = np.cumsum(fit.weighted_design[::-1], axis=0)[::-1]  # (n, p) design' K^-1 step
     taken = np.einsum("ij,jk,ik->i", shared, fit.covariance, shared)
     found = np.interp(np.arange(n), places, own)

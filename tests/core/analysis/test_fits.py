@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from datetime import UTC, datetime
 
 import numpy as np
@@ -12,7 +13,7 @@ from core.analysis.binning import bins_of, hours_of
 from core.analysis.creep import fit_creep
 from core.analysis.noise import Whitening, fit_noise, gls
 from core.analysis.readings import Lag
-from core.analysis.regression import by_blocks, daily, yearly
+from core.analysis.regression import by_blocks, daily, step_information, yearly
 from core.analysis.steps import find_steps, recent_drift
 from core.analysis.thermal import temperature_response
 from core.analysis.trend import difference, trend_of
@@ -89,6 +90,27 @@ def test_the_fast_inverse_is_that_of_the_covariance(*, weighted: bool) -> None:
     columns = rng.normal(size=(60, 3))
     assert whitening.squares(columns) == pytest.approx(np.diag(columns.T @ inverse @ columns))
     assert whitening.log_determinant == pytest.approx(np.linalg.slogdet(K)[1])
+
+
+def test_what_a_step_could_be_found_with_takes_little_memory_of_a_year_of_hours() -> None:
+    """Of the columns of hundreds of places together it would be 250 MB."""
+    rng = np.random.default_rng(4)
+    days = hours_with_gaps(rng, 365.0) / DAY_S
+    values_mm = rng.normal(size=len(days))
+    white = Whitening(days, np.array([2.0, 5.0]), np.array([0.3, 20.0]))
+    fit = gls(white, np.ones((len(days), 1)), values_mm)
+    tracemalloc.start()
+    try:
+        information = step_information(white, fit)
+        taken_mb = tracemalloc.get_traced_memory()[1] / 1e6
+    finally:
+        tracemalloc.stop()
+    assert taken_mb < 30.0
+    at = len(days) - 10  # one column by itself
+    step = (np.arange(len(days)) >= at).astype(np.float64)
+    beside = gls(white, np.column_stack([np.ones(len(days)), step]), values_mm)
+    sigma_mm = np.sqrt(beside.covariance[1, 1] * fit.variance_mm2 / beside.variance_mm2)
+    assert 1.0 / np.sqrt(information[at]) == pytest.approx(sigma_mm, rel=1e-6)
 
 
 def test_the_noise_of_means_of_few_and_of_many_is_recognised() -> None:
