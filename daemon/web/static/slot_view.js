@@ -20,9 +20,9 @@ const around = (found) => {
 
 /** A frame as an SVG in its own pixels: pixel (0, 0) has its middle at the origin. */
 class Frame {
-  constructor(role, url, time) {
+  constructor(role, url, time, none) {
     const name = t(`frame_${role}`);
-    this.note = el("p", { class: "hint" }, url ? t("targets_loading") : t("frame_gone"));
+    this.note = el("p", { class: "hint" }, url ? t("targets_loading") : none);
     this.button = el("button", { type: "button", hidden: true, onclick: () => this.toggle() }, t("show_target"));
     this.node = el("figure", { class: "frame", "data-frame": role, "data-targets": url ? "loading" : "none" }, el("figcaption", {}, name, this.button));
     this.url = url;
@@ -120,13 +120,15 @@ export const showSlot = async (node, slot, go) => {
     const answer = await getJson(`/api/slot/${encodeURIComponent(slot)}`);
     if (node.dataset.slot !== slot) return; // another one was asked for since
     const seconds = epoch(answer.slot ?? slot);
-    const frames = ["main", "sub"].map((role) => new Frame(role, answer.frames?.[role] ?? null, timeText(seconds, "second")));
+    const isGap = !Object.keys(answer.points ?? {}).length;
+    const frames = ["main", "sub"].map((role) =>
+      new Frame(role, answer.frames?.[role] ?? null, timeText(seconds, "second"), t(isGap ? "frame_never" : "frame_gone")));
     const step = (name, to) => el("button", { type: "button", "data-go": name, disabled: !to, onclick: () => go(iso(epoch(to))) }, t(name));
     const around = at(`/#since=${iso(seconds - 43200)}&until=${iso(seconds + 43200)}`);
     const focused = node.contains(document.activeElement) ? document.activeElement.dataset.go : null;
     node.replaceChildren(
       el("div", { class: "slot-head" },
-        el("h2", {}, timeElement(seconds, "second")), flagElement(answer.flag), el("span", {}, reasonsText(answer.reasons)),
+        el("h2", {}, timeElement(seconds, "second")), flagElement(answer.flag), el("span", {}, isGap ? reasonsText(answer.reasons).replace(" + ", ": ") : reasonsText(answer.reasons)),
         el("span", { class: "buttons" }, step("previous", answer.previous), step("next", answer.next),
           node.id === "slot" ? null : el("a", { href: at(`/slot/${encodeURIComponent(slot)}`) }, t("as_page")), el("a", { href: around }, t("in_record")),
           answer.calibration ? el("a", { href: at(`/calibrations/${answer.calibration}`) }, `${t("calibration")} ${answer.calibration}`) : null)),

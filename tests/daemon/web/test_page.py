@@ -135,6 +135,14 @@ class TestSlot:
         visit.go(f"/slot/{slot_text(served.record.suspect - MINUTE)}")
         expect(notice).to_have_count(0)
 
+    def test_a_slot_in_a_gap_says_why_and_claims_no_frame(
+        self, visit: Visit, served: Served
+    ) -> None:
+        visit.go(f"/slot/{slot_text(served.record.gap)}")
+        slot = visit.page.locator("#slot")
+        expect(slot).to_contain_text("power loss: mains")
+        expect(slot.locator("[data-frame=main]")).to_contain_text("nothing was measured")
+
     def test_its_numbers_fit_on_a_phone(self, browser: Browser, served: Served) -> None:
         with visiting(browser, served.url, **PHONE) as visit:
             visit.go(f"/slot/{slot_text(served.record.last)}")
