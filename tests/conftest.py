@@ -39,10 +39,11 @@ TALLY = "tally"
 HERE = Path(__file__).parent
 LONGEST_FIRST = (
     *("daemon/commands/test_demo.py", "daemon/web/test_page.py", "deploy", "soak", "crash"),
-    *("drivers/genicam", "system", "faults", "drivers/heads/test_head_programs.py"),
+    *("drivers/genicam", "daemon/web/test_figure.py", "system", "faults"),
+    *("drivers/heads/test_head_programs.py", "drivers/test_camera_contract.py", "drivers/heads"),
     *("daemon/slots/test_dcamd.py", "daemon/commands/test_calibrate", "daemon/commands"),
     *("docs", "core/calibration", "core/analysis", "daemon/store", "daemon/slots", "daemon"),
-    *("studies", "drivers/test_camera_contract.py", "drivers/heads", "drivers/sim"),
+    *("studies", "drivers/sim"),
     *("test_house.py", "core/test_", "core/quality", "core/lens", "core"),
 )
 """Files that take long, by the beginnings of their names: no process is left alone with one."""
@@ -51,6 +52,8 @@ WAITING = (
     *("drivers/sensors", "drivers/test_camera_contract.py", "faults", "soak", "system"),
 )
 """Whose tests wait half of their time: for a slot, a camera, a browser."""
+WAITED = 0.85
+"""By this part of the run all of those have begun: at its end fewer processes share the cores."""
 
 
 COMPILING = pytest.StashKey[subprocess.Popen[bytes]]()
@@ -90,14 +93,15 @@ def pytest_collection_finish() -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the files of long tests first; each process takes the next file when it is free.
 
-    Files whose tests wait lie evenly among the others, so that the cores always have work.
+    Files whose tests wait lie evenly among the others, so that the cores always have work, and none
+    at the end.
     """
     names = [path.relative_to(HERE).as_posix() for path in dict.fromkeys(i.path for i in items)]
     names.sort(key=lambda name: _place(name, LONGEST_FIRST))
     turns = {}
-    for waits in (False, True):
+    for waits, until in ((False, 1.0), (True, WAITED)):
         alike = [name for name in names if name.startswith(WAITING) is waits]
-        turns |= {HERE / name: (k + 0.5) / len(alike) for k, name in enumerate(alike)}
+        turns |= {HERE / name: until * (k + 0.5) / len(alike) for k, name in enumerate(alike)}
     items.sort(key=lambda item: turns[item.path])
 
 
