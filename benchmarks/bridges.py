@@ -67,6 +67,14 @@ class Bridge:
     """Share of single rows without a value."""
     outages: float = 0.1
     """Failures of the lamp a day, of 8 hours on average."""
+    every: int = 1
+    """Minutes from row to row."""
+    sensor_k: float = 0.1
+    """Noise of a reading of the temperature."""
+    sensor_step_k: float = 0.0
+    """What a reading is rounded to; 0: to nothing."""
+    sensor_h: float = 0.0
+    """First-order lag of the sensor itself, in concrete or in a box; the bridge is behind it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +84,11 @@ class Made:
     times_s: FloatArray
     y_mm: FloatArray
     deck_c: FloatArray
-    """What the sensor says: 0.1 K of noise."""
+    """What the sensor says, with its noise and steps."""
 
 
 def make(bridge: Bridge, seed: int) -> Made:
-    """Rows of a bridge, one a minute where there is one."""
+    """Rows of a bridge, where there is one."""
     rng = np.random.default_rng(seed)
     n = int(bridge.days * _MINUTES)
     deck, behind = _temperatures(bridge, rng, n)
@@ -102,7 +110,10 @@ def make(bridge: Bridge, seed: int) -> Made:
     for _ in range(rng.poisson(bridge.outages * bridge.days)):
         begin = int(rng.integers(n))
         keep[begin : begin + int(rng.exponential(8 * 60))] = False
-    said = deck + 0.1 * rng.normal(size=n)
+    said = deck + bridge.sensor_k * rng.normal(size=n)
+    if bridge.sensor_step_k:
+        said = bridge.sensor_step_k * np.round(said / bridge.sensor_step_k)
+    keep &= np.arange(n) % bridge.every == 0
     return Made((BEGIN_S + 60.0 * np.arange(n))[keep], y_mm[keep], said[keep])
 
 
@@ -118,6 +129,8 @@ def _temperatures(
     season = 10.0 + 12.0 * np.sin(2.0 * np.pi * (days / 365.25 - 0.3))
     deck = season + weather + 6.0 * sun * np.sin(2.0 * np.pi * (days - 0.35))
     deck += remembering(rng, n + before, 0.5, 60.0)
+    if bridge.sensor_h:
+        deck = _first_order(deck, bridge.sensor_h)
     if bridge.first_order:
         behind = _first_order(deck, bridge.lag_h)
     else:

@@ -41,6 +41,12 @@ _BLOCKS = 20
 """Stretches of a record that are left out in turn. Chosen: their spread is known to 16 %."""
 _LEAST_BLOCKS = 8
 """Fewer say little of a spread."""
+_NOT_THERE = 1e-9
+"""Of a column that shows in one stretch alone, such as the first hours of creep, what the others
+know of it, at most: without that stretch it is left out."""
+_ITS_OWN = 1e-5
+"""Share of a column that others must not contain: of 10 mm of creep that is less than counts, and
+the equations keep ten digits' room."""
 _BLOCK_DAYS = 2.0
 """Of a stretch at least: longer than what hours and the sun's daily course leave."""
 
@@ -118,11 +124,14 @@ def by_blocks(
         return None
     places = ((times_days - times_days[0]) / span_days * count).astype(np.int64)
     normal, changes = np.linalg.inv(fit.covariance), []
+    scale = np.sqrt(np.diag(normal))
     for block in range(count):
         inside = np.minimum(places, count - 1) == block
         gone = design[inside].T @ fit.weighted_design[inside]
         score = design[inside].T @ fit.whitened[inside]
-        changes.append(-combination @ np.linalg.solve(normal - 0.5 * (gone + gone.T), score))
+        left = (normal - 0.5 * (gone + gone.T)) / scale[:, None] / scale
+        change = np.linalg.lstsq(left, score / scale, rcond=_NOT_THERE)[0] / scale
+        changes.append(-combination @ change)
     value = float(combination @ fit.coefficients)
     sigma = float(np.sqrt((count - 1) / count * np.sum(np.square(changes))))
     half = sigma * float(stdtrit(count - 1, 0.5 + 0.5 * confidence))
@@ -280,7 +289,7 @@ def independent(columns: FloatArray) -> FloatArray:
         left = column - basis @ (basis.T @ column)
         left -= basis @ (basis.T @ left)
         size = float(np.linalg.norm(left))
-        if size > 1e-8 * max(float(np.linalg.norm(column)), np.finfo(float).tiny):
+        if size > _ITS_OWN * max(float(np.linalg.norm(column)), np.finfo(float).tiny):
             kept.append(place)
             basis = np.column_stack([basis, left / size])
     return columns[:, kept]

@@ -27,8 +27,10 @@ EVENT_DAYS = 30.0
 """What is looked at on either side of an event."""
 _NEAR_EVENT_DAYS = 3.0
 """A step found so near an event is the event's."""
-_SETTLING_DAYS = np.array([0.1, 1.0, 10.0])
-"""Logarithms of time since loading that are regressed out where steps are looked for."""
+_SETTLING_DAYS = 0.1 * 2.0 ** np.arange(11)
+"""Time constants, from hours to a season, of the creep since loading that is regressed out where
+temperature and steps are looked for: any creep is a sum of such parts, and its quick ones are no
+steps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,8 +146,9 @@ class _Analyst:
 
     def _thermal(self, beside: FloatArray) -> Thermal | None:
         names = [channel.name for channel in self._record.channels]
+        under = np.column_stack([beside, self._settling(self._hours.times_s)])
         found = temperature_response(
-            self._hours, tuple(range(len(names))), self._asked.confidence, beside
+            self._hours, tuple(range(len(names))), self._asked.confidence, under
         )
         if found is None:
             self._notes.append(f"temperature: {', '.join(names)}: no or constant readings")
@@ -163,7 +166,7 @@ class _Analyst:
         if self._asked.loaded is None:
             return np.empty((len(times_s), 0))
         since = np.maximum(times_s - self._asked.loaded.timestamp(), 0.0) / DAY_S
-        found: FloatArray = np.log1p(since[:, None] / _SETTLING_DAYS)
+        found: FloatArray = -np.expm1(-since[:, None] / _SETTLING_DAYS)
         return found
 
     def _drift(
