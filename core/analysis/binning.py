@@ -18,6 +18,8 @@ hour where the bridge moves by a millimetre in it. Chosen."""
 _OUTLYING = 5.0
 """Standard deviations from its hour's median beyond which a row is left out of the mean. Chosen: of
 normal rows one in two million."""
+_LEAST_S2 = 60.0**2 / 12.0
+"""Variance of times that a mean's rows have at least: one of its own minute."""
 _MAD_TO_SIGMA = 1.4826
 """Standard deviation of a normal variable over its median absolute deviation."""
 
@@ -46,6 +48,9 @@ class Hours:
     """(n,)."""
     count: IntArray
     """(n,) rows that made the mean."""
+    span_s: FloatArray
+    """(n,) length of the span over which a reading's course, on its grid, has the same mean as at
+    the rows: an hour if they are many, the grid's own for a single row."""
     fine_s: FloatArray
     """(m,) mean times of the readings' own spans, a regular grid."""
     readings: FloatArray
@@ -61,6 +66,7 @@ class Hours:
             times_s=self.times_s[keep],
             mean_mm=self.mean_mm[keep],
             count=self.count[keep],
+            span_s=self.span_s[keep],
         )
 
 
@@ -96,7 +102,7 @@ def hours_of(
 
     times_s, values_mm (rows,), readings (rows, channels). Rows without a value count for nothing.
     """
-    fine_s, fine = _fine(times_s, readings)
+    fine_s, fine, fine_s2 = _fine(times_s, readings)
     good = np.isfinite(values_mm)
     times_s, values_mm = times_s[good], values_mm[good]
     named, bins = np.unique(np.floor(times_s / bin_s).astype(np.int64), return_inverse=True)
@@ -112,10 +118,13 @@ def hours_of(
     def mean(values: FloatArray) -> FloatArray:
         return np.bincount(bins, weights=values, minlength=n) / np.maximum(count, 1)
 
+    middles_s = mean(times_s[inlying])
+    spread_s2 = mean((times_s[inlying] - middles_s[bins]) ** 2)
     hours = Hours(
-        times_s=mean(times_s[inlying]),
+        times_s=middles_s,
         mean_mm=mean(values_mm[inlying]),
         count=count.astype(np.int64),
+        span_s=np.sqrt(12.0 * np.maximum(spread_s2 + fine_s2, _LEAST_S2)),
         fine_s=fine_s,
         readings=fine,
     )
@@ -123,18 +132,23 @@ def hours_of(
     return hours.kept((count >= _FULL_SHARE * usual) & (count > 0))
 
 
-def _fine(times_s: FloatArray, readings: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Times (m,) and means (m, channels) of the readings on a regular grid.
+def _fine(times_s: FloatArray, readings: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Times (m,) and means (m, channels) of the readings on a regular grid; variance short of it.
 
     A mean belongs to the mean time of its rows, and that is not the middle of its span: rows of
-    full minutes lie 30 s before it.
+    full minutes lie 30 s before it. Nor do its rows spread over all of the span, as a course does
+    of which it is taken to be the mean: by so much is the variance of their times less.
     """
     if not len(times_s):
-        return np.empty(0), np.empty((0, readings.shape[1]))
+        return np.empty(0), np.empty((0, readings.shape[1])), 0.0
     first = np.floor(times_s[0] / FINE_S)
     edges_s = np.arange(first, np.floor(times_s[-1] / FINE_S) + 2.0) * FINE_S
     middles_s = edges_s[:-1] + 0.5 * FINE_S
-    fine_s = middles_s + np.nanmedian(bins_of(times_s, times_s, edges_s).mean - middles_s)
+    offsets_s = bins_of(times_s, times_s, edges_s).mean - middles_s
+    places = np.searchsorted(edges_s, times_s, side="right") - 1
+    about_s2 = (times_s - middles_s[places] - offsets_s[places]) ** 2
+    spread_s2 = float(np.nanmedian(bins_of(times_s, about_s2, edges_s).mean))
+    fine_s = middles_s + np.nanmedian(offsets_s)
     found = np.full((len(fine_s), readings.shape[1]), np.nan)
     for channel, column in enumerate(readings.T):
         means = bins_of(times_s, column, edges_s)
@@ -142,7 +156,7 @@ def _fine(times_s: FloatArray, readings: FloatArray) -> tuple[FloatArray, FloatA
         if there.any():
             when_s = bins_of(times_s, np.where(np.isfinite(column), times_s, np.nan), edges_s).mean
             found[there, channel] = np.interp(fine_s[there], when_s[there], means.mean[there])
-    return fine_s, found
+    return fine_s, found, FINE_S**2 / 12.0 - spread_s2
 
 
 def _medians(values: FloatArray, bins: IntArray, n: int) -> FloatArray:

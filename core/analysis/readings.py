@@ -10,7 +10,8 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.linalg.lapack import dtbtrs
 
 from core.analysis.binning import FINE_S, HOUR_S, Hours
-from core.arrays import FloatArray, IntArray
+from core.analysis.reading_course import estimated
+from core.arrays import BoolArray, FloatArray, IntArray
 
 _HALF_DAY = 72
 """Places of the grid in 12 hours."""
@@ -29,6 +30,25 @@ class Lag(StrEnum):
 
     SHIFT = "shift"
     FIRST_ORDER = "first-order"
+
+
+@dataclass(frozen=True, slots=True)
+class Spans:
+    """Over what a reading is averaged to stand beside the mean of an hour's rows."""
+
+    times_s: FloatArray
+    """(n,) middles."""
+    span_s: FloatArray
+    """(n,) lengths."""
+
+    @classmethod
+    def of(cls, hours: Hours) -> Spans:
+        """Those of hourly means."""
+        return cls(hours.times_s, hours.span_s)
+
+    def kept(self, keep: BoolArray) -> Spans:
+        """Those that are marked."""
+        return Spans(self.times_s[keep], self.span_s[keep])
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,13 +71,13 @@ class _Course:
         total = np.append(0.0, np.cumsum(values)) * FINE_S
         return cls(edges_s, values, before, make_interp_spline(edges_s, total, k=3))
 
-    def after(self, times_s: FloatArray, kind: Lag, lag_h: float) -> FloatArray:
-        """(n,) its means, behind a lag, over the hours about these times.
+    def after(self, hours: Spans, kind: Lag, lag_h: float) -> FloatArray:
+        """(n,) its means, behind a lag, over the spans of these hours.
 
-        Of a shift the change of the integral over the hour; of a first-order lag F, with
+        Of a shift the change of the integral over the span; of a first-order lag F, with
         lag dF/dt = T - F, that of T less lag times the change of F.
         """
-        ends_s = times_s[:, None] + np.array([-0.5, 0.5]) * HOUR_S
+        ends_s = hours.times_s[:, None] + np.array([-0.5, 0.5]) * hours.span_s[:, None]
         shift_s = lag_h * HOUR_S if kind is Lag.SHIFT else 0.0
         change = np.diff(self.total(ends_s - shift_s))[:, 0]
         if kind is Lag.FIRST_ORDER:
@@ -65,7 +85,7 @@ class _Course:
             lagged = _first_order(left, self.values - self.before)
             ends = np.interp(ends_s, self.edges_s, np.append(0.0, lagged))
             change -= lag_h * HOUR_S * np.diff(ends)[:, 0]
-        found: FloatArray = change / HOUR_S
+        found: FloatArray = change / hours.span_s
         return found
 
 
@@ -79,23 +99,25 @@ class Reading:
     usual: float
     """Its usual change within 12 hours."""
 
-    def after(self, times_s: FloatArray, kind: Lag, lag_h: float) -> FloatArray:
-        """(n,) its means, behind a lag, over the hours about these times."""
-        return self.course.after(times_s, kind, lag_h)
+    def after(self, hours: Spans, kind: Lag, lag_h: float) -> FloatArray:
+        """(n,) its means, behind a lag, over the spans of these hours."""
+        return self.course.after(hours, kind, lag_h)
 
-    def unsure(self, times_s: FloatArray, kind: Lag, lag_h: float) -> FloatArray:
+    def unsure(self, hours: Spans, kind: Lag, lag_h: float) -> FloatArray:
         """(n,) how wrong these are, as a share of its usual change."""
-        return self.error.after(times_s, kind, lag_h) / max(self.usual, np.finfo(float).tiny)
+        return self.error.after(hours, kind, lag_h) / max(self.usual, np.finfo(float).tiny)
 
 
 def reading_of(hours: Hours, channel: int) -> Reading:
     """A reading on its grid, and by how much it may have changed where it is not known."""
     there = np.isfinite(hours.readings[:, channel])
     grid_s = hours.fine_s[0] + FINE_S * np.arange(-_PAST, len(hours.fine_s) + _PAST)
-    values = np.interp(grid_s, hours.fine_s[there], hours.readings[there, channel])
+    apart = _apart(np.flatnonzero(there) + _PAST, len(grid_s))
+    best = estimated(hours.readings[:, channel], apart[_PAST:-_PAST] <= _NEAR)
+    there = np.isfinite(best)
+    values = np.interp(grid_s, hours.fine_s[there], best[there])
     values -= float(np.mean(values))
     change = _changes(hours.readings[:, channel])
-    apart = _apart(np.flatnonzero(there) + _PAST, len(grid_s))
     error = np.where(apart > 0, np.interp(apart, _SPREAD_PLACES, change) / np.sqrt(2.0), 0.0)
     return Reading(
         _Course.of(grid_s, values, float(np.mean(values[_PAST : _PAST + _START]))),

@@ -14,7 +14,7 @@ import numpy as np
 
 from core.analysis.binning import Hours
 from core.analysis.noise import DAY_S, NoiseFit, gls
-from core.analysis.readings import Lag, Reading, known_share, reading_of
+from core.analysis.readings import Lag, Reading, Spans, known_share, reading_of
 from core.analysis.regression import (
     Fit,
     Interval,
@@ -40,6 +40,8 @@ _SEARCHED = 6.0
 """First-order lag in hours whose past must be known where lags are sought."""
 _LEAST_KNOWN = 0.5
 """Share of the hours for which a reading must be known to be used; so many are used at least."""
+_USUALLY = 2.0
+"""How many times as unsure as in the middle hour a reading may be in one that is used. Chosen."""
 _ZOOMS = 4
 """How often the lags tried close in on the best."""
 _ZOOMED = 9
@@ -111,8 +113,8 @@ def temperature_response(
     if not usable:
         return None
     parts = [_Part(channel, reading_of(hours, channel), Lag.SHIFT, 0.0) for channel in usable]
-    single, fit, times_s = _sought(hours, parts, beside, _SEARCHED)
-    both = single + _second_masses(single, fit, times_s)
+    single, fit, spans = _sought(hours, parts, beside, _SEARCHED)
+    both = single + _second_masses(single, fit, spans)
     if len(both) > len(single):
         both, *_ = _sought(hours, both, beside, _SEARCHED_SLOW)
         found = _judged(hours, both, beside, confidence)
@@ -131,9 +133,9 @@ class _Part:
     kind: Lag
     lag_h: float
 
-    def after(self, times_s: FloatArray) -> FloatArray:
-        """(n,) its means over the hours about these times."""
-        return self.reading.after(times_s, self.kind, self.lag_h)
+    def after(self, spans: Spans) -> FloatArray:
+        """(n,) its means over the spans of hours."""
+        return self.reading.after(spans, self.kind, self.lag_h)
 
     def moved(self, step_h: float) -> _Part:
         """The same behind another lag."""
@@ -144,33 +146,34 @@ class _Part:
 
 def _sought(
     hours: Hours, parts: list[_Part], beside: FloatArray | None, past_h: float
-) -> tuple[list[_Part], Fit, FloatArray]:
-    """The parts behind their best lags, the last fit, and its times (n,).
+) -> tuple[list[_Part], Fit, Spans]:
+    """The parts behind their best lags, the last fit, and its hours.
 
     Of hours for which the readings `past_h` ago are known.
     """
-    known = _known([replace(p, kind=Lag.FIRST_ORDER, lag_h=past_h) for p in parts], hours.times_s)
-    times_s, values_mm = hours.times_s[known], hours.mean_mm[known]
+    spans = Spans.of(hours)
+    known = _known([replace(p, kind=Lag.FIRST_ORDER, lag_h=past_h) for p in parts], spans)
+    spans, times_s, values_mm = spans.kept(known), hours.times_s[known], hours.mean_mm[known]
     line = _slow(times_s / DAY_S, None if beside is None else beside[known])
     for _ in range(_ROUNDS):
-        columns = _columns(parts, times_s)
+        columns = _columns(parts, spans)
         fit = robust_fit(times_s / DAY_S, np.column_stack([line, columns]), values_mm)
-        before, parts = parts, _better_lags(fit, parts, times_s[fit.keep])
+        before, parts = parts, _better_lags(fit, parts, spans.kept(fit.keep))
         if all(
             a.kind is b.kind and abs(a.lag_h - b.lag_h) < _NEAR_H
             for a, b in zip(before, parts, strict=True)
         ):
             break
-    return parts, fit, times_s[fit.keep]
+    return parts, fit, spans.kept(fit.keep)
 
 
-def _second_masses(parts: list[_Part], fit: Fit, times_s: FloatArray) -> list[_Part]:
+def _second_masses(parts: list[_Part], fit: Fit, spans: Spans) -> list[_Part]:
     """Slow parts of the same readings that explain more than chance would beside the quick ones."""
     found = []
     for part in parts:
         tried_h = _LAGS_H[max(_SLOW_H, _SLOWER * part.lag_h) <= _LAGS_H]
         if len(tried_h):
-            lag_h, gain = _closed_in(Lag.FIRST_ORDER, tried_h, part.reading, times_s, fit.noise_fit)
+            lag_h, gain = _closed_in(Lag.FIRST_ORDER, tried_h, part.reading, spans, fit.noise_fit)
             if gain > _CLEAR**2:
                 found.append(replace(part, kind=Lag.FIRST_ORDER, lag_h=lag_h))
     return found
@@ -199,23 +202,24 @@ def _usable(hours: Hours, channels: tuple[int, ...]) -> list[int]:
     return usable
 
 
-def _known(parts: list[_Part], times_s: FloatArray) -> BoolArray:
+def _known(parts: list[_Part], spans: Spans) -> BoolArray:
     """(n,) hours for which all readings behind their lags are known well enough.
 
-    What happened in a gap, or before the record, is forgotten only some lags later. Half of the
-    hours stay, the best known, where gaps are many or the lag is long.
+    What happened in a gap, or before the record, is forgotten only some lags later. Those that are
+    known as well as most stay, where slots are few, gaps many or the lag long.
     """
-    unsure = np.max([p.reading.unsure(times_s, p.kind, p.lag_h) for p in parts], axis=0)
-    found: BoolArray = unsure <= max(_UNSURE, float(np.quantile(unsure, _LEAST_KNOWN)))
+    unsure = np.max([p.reading.unsure(spans, p.kind, p.lag_h) for p in parts], axis=0)
+    usual = _USUALLY * float(np.quantile(unsure, _LEAST_KNOWN))
+    found: BoolArray = unsure <= max(_UNSURE, usual)
     return found
 
 
-def _columns(parts: list[_Part], times_s: FloatArray) -> FloatArray:
+def _columns(parts: list[_Part], spans: Spans) -> FloatArray:
     """(n, parts)."""
-    return np.column_stack([part.after(times_s) for part in parts])
+    return np.column_stack([part.after(spans) for part in parts])
 
 
-def _better_lags(fit: Fit, parts: list[_Part], times_s: FloatArray) -> list[_Part]:
+def _better_lags(fit: Fit, parts: list[_Part], spans: Spans) -> list[_Part]:
     """The lag of each part in turn that explains most beside the others.
 
     The second part of a reading is a slow mass, the first one may also be a shift.
@@ -227,7 +231,7 @@ def _better_lags(fit: Fit, parts: list[_Part], times_s: FloatArray) -> list[_Par
         if any(part.channel == other.channel for other in found):
             tried = {Lag.FIRST_ORDER: _LAGS_H[_LAGS_H >= _SLOW_H]}
         best = {
-            kind: _closed_in(kind, tried_h, part.reading, times_s, others)
+            kind: _closed_in(kind, tried_h, part.reading, spans, others)
             for kind, tried_h in tried.items()
         }
         kind = max(best, key=lambda kind: best[kind][1])
@@ -236,14 +240,14 @@ def _better_lags(fit: Fit, parts: list[_Part], times_s: FloatArray) -> list[_Par
 
 
 def _closed_in(
-    kind: Lag, tried_h: FloatArray, reading: Reading, times_s: FloatArray, others: NoiseFit
+    kind: Lag, tried_h: FloatArray, reading: Reading, spans: Spans, others: NoiseFit
 ) -> tuple[float, float]:
     """The lag of a kind that explains most, and how much.
 
     Of a year the peak is some seconds wide: two kinds are compared each at its own.
     """
     for _ in range(_ZOOMS):
-        tried = np.column_stack([reading.after(times_s, kind, lag_h) for lag_h in tried_h])
+        tried = np.column_stack([reading.after(spans, kind, lag_h) for lag_h in tried_h])
         size, information = try_columns(others.whitening, others.gls, tried)
         lag_h, gain = _peak(tried_h, size**2 * information)
         best = int(np.argmax(size**2 * information))
@@ -290,16 +294,17 @@ def _judged(
     hours: Hours, parts: list[_Part], beside: FloatArray | None, confidence: float
 ) -> Thermal:
     """The last Gauss-Newton steps, with the lags as unknowns among the others; and intervals."""
-    known = _known(parts, hours.times_s)
-    times_s, values_mm = hours.times_s[known], hours.mean_mm[known]
+    everywhere = Spans.of(hours)
+    known = _known(parts, everywhere)
+    spans, times_s, values_mm = everywhere.kept(known), hours.times_s[known], hours.mean_mm[known]
     times_days = times_s / DAY_S
     line = _slow(times_days, None if beside is None else beside[known])
-    columns = np.column_stack([line, _columns(parts, times_s)])
+    columns = np.column_stack([line, _columns(parts, spans)])
     fit = robust_fit(times_days, columns, values_mm)
     keep, count = fit.keep, len(parts)
     sizes = fit.gls.coefficients[-count:]
     for _ in range(_STEPS):
-        design = np.column_stack([line, _columns(parts, times_s), _by_lag(parts, times_s) * sizes])
+        design = np.column_stack([line, _columns(parts, spans), _by_lag(parts, spans) * sizes])
         better = gls(fit.noise_fit.whitening, design[keep], values_mm[keep])
         sizes = better.coefficients[-2 * count : -count]
         steps_h = np.clip(better.coefficients[-count:], *_reach(parts))
@@ -323,15 +328,13 @@ def _judged(
         lag = Interval(lag_h + left.value, left.sigma, lag_h + left.low, lag_h + left.high)
         slow = any(part.channel == other.channel for other in responses)
         responses.append(Response(part.channel, slow, part.kind, lag, size))
-    everywhere = _columns(parts, hours.times_s)
-    everywhere[~known] = np.nan
+    columns = _columns(parts, everywhere)
+    columns[~known] = np.nan
     about = _about(values_mm, line)[keep]
-    rest = _about(values_mm - _columns(parts, times_s) @ sizes, line)[keep]
+    rest = _about(values_mm - _columns(parts, spans) @ sizes, line)[keep]
     explained = 1.0 - np.var(rest) / max(np.var(about), np.finfo(float).tiny)
-    by_lag = _by_lag(parts, hours.times_s)
-    return Thermal(
-        tuple(responses), known, everywhere, by_lag, float(explained), float(np.std(rest))
-    )
+    by_lag = _by_lag(parts, everywhere)
+    return Thermal(tuple(responses), known, columns, by_lag, float(explained), float(np.std(rest)))
 
 
 def _about(values_mm: FloatArray, line: FloatArray) -> FloatArray:
@@ -359,11 +362,11 @@ def _wider(by_noise: Interval, between_blocks: Interval | None) -> Interval:
     return Interval(by_noise.value, between_blocks.sigma, low, high)
 
 
-def _by_lag(parts: list[_Part], times_s: FloatArray) -> FloatArray:
+def _by_lag(parts: list[_Part], spans: Spans) -> FloatArray:
     """(n, parts) derivative by the lag, per hour."""
     found = []
     for part in parts:
         later, sooner = part.moved(_STEP_H), part.moved(-_STEP_H)
-        change = later.after(times_s) - sooner.after(times_s)
+        change = later.after(spans) - sooner.after(spans)
         found.append(change / (later.lag_h - sooner.lag_h))
     return np.column_stack(found)
