@@ -1,6 +1,6 @@
 """Whether the analysis keeps its stated rates, on many simulated bridges; and what a year costs.
 
-    OPENBLAS_NUM_THREADS=1 python -m benchmarks.analysis coverage creep steps false-alarms time
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.analysis coverage creep steps other time
 
 Hours of processor time for all; each study says its own figures as it ends.
 """
@@ -14,7 +14,7 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from datetime import UTC
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -31,15 +31,19 @@ from benchmarks.bridges import (
     make_creep,
     write_record,
 )
+from benchmarks.other_bridges import make_other, some_other
 from core.analysis.binning import Hours, hours_of
 from core.analysis.creep import fit_creep
 from core.analysis.steps import find_steps, recent_drift
 from core.analysis.thermal import temperature_response
 from core.analysis.trend import difference, trend_of
 from core.arrays import FloatArray
+from core.site import MAIN
 from daemon.analysis.reading import analyse_store
-from daemon.analysis.study import Asked
+from daemon.analysis.record import Channel, Record
+from daemon.analysis.study import Asked, study
 from daemon.store.database import open_store_readonly
+from daemon.store.ledger.exclusion import ExcludedRows
 
 BRIDGE = Bridge()
 DAILY_MM = "3 mm"
@@ -179,6 +183,67 @@ def study_steps(count: int, first: int) -> Iterator[str]:
     yield f"0.5 mm a year, 90 days after it began: {drifts} of {count}; without: {wrong}"
 
 
+def study_other(count: int, first: int) -> Iterator[str]:
+    """Bridges of another make, 180 days: mm/K and lag; a drift of their last 90 days, and none."""
+    held: Counter[tuple[str, str]] = Counter()
+    asked: Counter[str] = Counter()
+    for seed in range(first, first + count):
+        bridge = some_other(seed)
+        made = make_other(bridge, 88000 + seed)
+        hours = hours_of(made.times_s, made.y_mm, made.deck_c[:, None])
+        thermal = temperature_response(hours, (0,))
+        if thermal is None or len(thermal.responses) != 1:
+            yield f"bridge {seed}: no response to temperature, or two, where there is one"
+            continue
+        (response,) = thermal.responses
+        known = thermal.known
+        warm = np.column_stack([thermal.columns, thermal.by_lag])[known]
+        times_s, quiet_mm = hours.times_s[known], hours.mean_mm[known]
+        later_days = np.maximum((times_s - BEGIN_S) / DAY_S - 0.5 * bridge.days, 0.0)
+        quiet = recent_drift(times_s, quiet_mm, warm)
+        drifting = recent_drift(times_s, quiet_mm + 0.5 * later_days / 365.25, warm)
+        truths = {
+            "mm/K": (response.mm_per_unit, bridge.mm_per_kelvin),
+            "lag": (response.lag_h, bridge.lag_h),
+            "no drift": (quiet.mm_per_year, 0.0),
+            "0.5 mm a year": (drifting.mm_per_year, 0.5),
+        }
+        for kind in (bridge.noise, f"rows of {bridge.every} minutes", "all"):
+            asked[kind] += 1
+            for name, (interval, truth) in truths.items():
+                held[kind, f"{name} in its interval"] += interval.low <= truth <= interval.high
+            held[kind, "found of 0.5 mm a year"] += drifting.significant
+            held[kind, "false drifts"] += quiet.significant
+    for kind, name in sorted(held):
+        yield f"{kind}: {name} {held[kind, name]} of {asked[kind]}"
+
+
+def study_quick_creep(count: int, first: int) -> Iterator[str]:
+    """Creep that is partly over within hours or days of loading: what is taken for a step."""
+    wrong, loaded = 0, datetime.fromtimestamp(BEGIN_S, UTC)
+    for seed in range(first, first + count):
+        rng = np.random.default_rng(43000 + seed)
+        made = make(replace(BRIDGE, days=90.0, every=10), 42000 + seed)
+        days = (made.times_s - BEGIN_S) / DAY_S
+        quick_days, share = np.exp(rng.uniform(np.log(0.08), np.log(4.0))), rng.uniform(0.3, 0.9)
+        course = share * np.expm1(-days / quick_days) + (1.0 - share) * np.expm1(-days / 60.0)
+        course *= rng.uniform(3.0, 15.0) * rng.choice([-1.0, 1.0]) / course[-1]
+        record = Record(
+            MAIN,
+            made.times_s,
+            np.column_stack([course, made.y_mm + course]),
+            made.deck_c[:, None],
+            (Channel("deck", "degC"),),
+            ExcludedRows(),
+        )
+        span = loaded, loaded + timedelta(days=90.0)
+        found = study(record, Asked(loaded=loaded, predict_days=()), span, 600.0)
+        if found.steps and found.steps.steps:
+            wrong += 1
+            yield f"bridge {seed}: {len(found.steps.steps)} false steps, {quick_days:.2f} days"
+    yield f"quick creep: a false step in {wrong} of {count}"
+
+
 def study_false_alarms(count: int, first: int) -> Iterator[str]:
     """Quiet years, analysed as a whole; and the last 60 days of them, every week."""
     whole, highest = 0, []
@@ -225,6 +290,8 @@ STUDIES: dict[str, tuple[Callable[[int, int], Iterator[str]], int]] = {
     "coverage": (study_coverage, 100),
     "creep": (study_creep, 200),
     "steps": (study_steps, 50),
+    "other": (study_other, 200),
+    "quick-creep": (study_quick_creep, 40),
     "false-alarms": (study_false_alarms, 30),
     "weekly": (study_weekly, 4),
     "time": (study_time, 1),

@@ -30,9 +30,10 @@ from core.arrays import BoolArray, FloatArray
 THRESHOLD = 4.5
 """Standard deviations of a step's size at which it is one. Of 8766 hours' independent normal values
 one exceeds it in 17 years; the benchmark `analysis` counts."""
-DRIFT_THRESHOLD = 3.5
+DRIFT_THRESHOLD = 3.0
 """Standard deviations of the last months' slope at which it is a drift. Tried daily, slopes of 90
-days are some 20 independent ones a year, of which one exceeds it in 100 years."""
+days are some 20 independent ones a year, of which one exceeds it in 18 years. At 3.5, which would
+be one in 100 years, a seventh of the drifts of 0.5 mm a year were missed."""
 _DRIFT_CONFIDENCE = float(1.0 - 2.0 * ndtr(-DRIFT_THRESHOLD))
 """The interval that must not hold 0."""
 DRIFT_DAYS = 90.0
