@@ -130,17 +130,17 @@ def _temperatures(
     deck = season + weather + 6.0 * sun * np.sin(2.0 * np.pi * (days - 0.35))
     deck += remembering(rng, n + before, 0.5, 60.0)
     if bridge.sensor_h:
-        deck = _first_order(deck, bridge.sensor_h)
+        deck = first_order(deck, bridge.sensor_h)
     if bridge.first_order:
-        behind = _first_order(deck, bridge.lag_h)
+        behind = first_order(deck, bridge.lag_h)
     else:
         behind = np.interp(hours - bridge.lag_h, hours, deck)
-    slow = _first_order(deck, bridge.slow_h)
+    slow = first_order(deck, bridge.slow_h)
     behind = (1.0 - bridge.slow_share) * behind + bridge.slow_share * slow
     return deck[before:], behind[before:]
 
 
-def _first_order(values: FloatArray, lag_h: float) -> FloatArray:
+def first_order(values: FloatArray, lag_h: float) -> FloatArray:
     """Values of minutes behind a first-order lag; exact for lines from minute to minute."""
     from scipy.signal import lfilter
 

@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
-from benchmarks.bridges import BEGIN_S, DAY_S, Made, remembering
+from benchmarks.bridges import BEGIN_S, DAY_S, Made, first_order, remembering
 from core.arrays import FloatArray
 
 _MINUTES = 1440
@@ -66,8 +65,7 @@ def make_other(bridge: Other, seed: int) -> Made:
     deck = _deck(rng, n + _BEFORE)
     minutes = np.arange(-_BEFORE, n, dtype=np.float64)
     if bridge.first_order:
-        left = np.exp(-1.0 / 60.0 / bridge.lag_h)
-        behind = lfilter([0.5 * (1.0 - left)] * 2, [1.0, -left], deck - deck[0]) + deck[0]
+        behind = first_order(deck, bridge.lag_h)
     else:
         behind = np.interp(minutes - 60.0 * bridge.lag_h, minutes, deck)
     days = np.arange(n) / _MINUTES
@@ -99,9 +97,7 @@ def _deck(rng: np.random.Generator, n: int) -> FloatArray:
     height = np.sin(2.0 * np.pi * (days - 0.25)) + 0.35 * np.sin(year)
     clear = remembering(rng, n, 1.0, 1.2 * _MINUTES) + 0.8 * remembering(rng, n, 1.0, 25.0)
     sun = np.maximum(height, 0.0) * np.where(clear > 0.0, 1.0, 0.25)
-    left = np.exp(-1.0 / 40.0)
-    found: FloatArray = air + 14.0 * lfilter([1.0 - left], [1.0, -left], sun)
-    return found
+    return air + 14.0 * first_order(sun, 40.0 / 60.0)
 
 
 def _noise(kind: str, rng: np.random.Generator, n: int) -> FloatArray:
