@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
+import warnings
 from pathlib import Path
 
 from studies.keep import ROOT, Keep
@@ -18,6 +19,8 @@ def main() -> int:
     if unknown := sorted(set(options.names) - set(STUDIES)):
         print(f"studies: no study {unknown[0]!r}; there: {', '.join(STUDIES)}", file=sys.stderr)
         return 2
+    # Debian's matplotlib, which comes with mrcal, beside ours.
+    warnings.filterwarnings("ignore", "Unable to import Axes3D", UserWarning)
     changed: list[str] = []
     failed: list[str] = []
     for name in options.names or STUDIES:
