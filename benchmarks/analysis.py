@@ -27,6 +27,7 @@ from benchmarks.bridges import (
     OTHER_CREEP,
     Bridge,
     Made,
+    creep_course,
     make,
     make_creep,
     write_record,
@@ -41,7 +42,7 @@ from core.arrays import FloatArray
 from core.site import MAIN
 from daemon.analysis.reading import analyse_store
 from daemon.analysis.record import Channel, Record
-from daemon.analysis.study import Asked, study
+from daemon.analysis.study import Asked, Study, study
 from daemon.store.database import open_store_readonly
 from daemon.store.ledger.exclusion import ExcludedRows
 
@@ -218,30 +219,65 @@ def study_other(count: int, first: int) -> Iterator[str]:
         yield f"{kind}: {name} {held[kind, name]} of {asked[kind]}"
 
 
+def study_creep_in_records(count: int, first: int) -> Iterator[str]:
+    """Day 365 from 90 days of rows, by the whole analysis: temperature and steps beside creep."""
+    kinds, held = (*CREEP_LAWS, *OTHER_CREEP), defaultdict[str, list[bool]](list)
+    wrong, widths = 0, []
+    for seed in range(first, first + count):
+        kind, rng = kinds[seed % len(kinds)], np.random.default_rng(47000 + seed)
+        made = make(replace(BRIDGE, days=90.0, every=10), 46000 + seed)
+        at_days = np.arange(366 * 24) / 24.0
+        course = creep_course(kind, rng, at_days, 90)
+        found = _studied_since_loading(made, np.interp(_days_of(made), at_days, course))
+        wrong += bool(found.steps and found.steps.steps)
+        if found.creep is None:
+            held[kind].append(False)
+            yield f"bridge {seed}: no creep was fitted"
+            continue
+        (predicted,) = found.creep.predictions
+        # At the mean temperature since loading.
+        truth = course[365 * 24] + float(np.mean(made.y_mm))
+        for name in (kind, "all"):
+            held[name].append(predicted.mm.low <= truth <= predicted.mm.high)
+        widths.append(predicted.mm.high - predicted.mm.low)
+    for name, truths in held.items():
+        yield f"{name}: {sum(truths)} of {len(truths)}"
+    yield f"median width {np.median(widths):.2f} mm; a false step in {wrong} of {count}"
+
+
 def study_quick_creep(count: int, first: int) -> Iterator[str]:
     """Creep that is partly over within hours or days of loading: what is taken for a step."""
-    wrong, loaded = 0, datetime.fromtimestamp(BEGIN_S, UTC)
+    wrong = 0
     for seed in range(first, first + count):
         rng = np.random.default_rng(43000 + seed)
         made = make(replace(BRIDGE, days=90.0, every=10), 42000 + seed)
-        days = (made.times_s - BEGIN_S) / DAY_S
+        days = _days_of(made)
         quick_days, share = np.exp(rng.uniform(np.log(0.08), np.log(4.0))), rng.uniform(0.3, 0.9)
         course = share * np.expm1(-days / quick_days) + (1.0 - share) * np.expm1(-days / 60.0)
         course *= rng.uniform(3.0, 15.0) * rng.choice([-1.0, 1.0]) / course[-1]
-        record = Record(
-            MAIN,
-            made.times_s,
-            np.column_stack([course, made.y_mm + course]),
-            made.deck_c[:, None],
-            (Channel("deck", "degC"),),
-            ExcludedRows(),
-        )
-        span = loaded, loaded + timedelta(days=90.0)
-        found = study(record, Asked(loaded=loaded, predict_days=()), span, 600.0)
+        found = _studied_since_loading(made, course)
         if found.steps and found.steps.steps:
             wrong += 1
             yield f"bridge {seed}: {len(found.steps.steps)} false steps, {quick_days:.2f} days"
     yield f"quick creep: a false step in {wrong} of {count}"
+
+
+def _days_of(made: Made) -> FloatArray:
+    return (made.times_s - BEGIN_S) / DAY_S
+
+
+def _studied_since_loading(made: Made, creep_mm: FloatArray) -> Study:
+    """What the whole analysis says of 90 days of rows every 10 minutes, with creep (n,) added."""
+    loaded = datetime.fromtimestamp(BEGIN_S, UTC)
+    record = Record(
+        MAIN,
+        made.times_s,
+        np.column_stack([creep_mm, made.y_mm + creep_mm]),
+        made.deck_c[:, None],
+        (Channel("deck", "degC"),),
+        ExcludedRows(),
+    )
+    return study(record, Asked(loaded=loaded), (loaded, loaded + timedelta(days=90.0)), 600.0)
 
 
 def study_false_alarms(count: int, first: int) -> Iterator[str]:
@@ -291,6 +327,7 @@ STUDIES: dict[str, tuple[Callable[[int, int], Iterator[str]], int]] = {
     "creep": (study_creep, 200),
     "steps": (study_steps, 50),
     "other": (study_other, 200),
+    "creep-in-records": (study_creep_in_records, 200),
     "quick-creep": (study_quick_creep, 40),
     "false-alarms": (study_false_alarms, 30),
     "weekly": (study_weekly, 4),

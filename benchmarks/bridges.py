@@ -172,8 +172,7 @@ def make_creep(
     """
     rng = np.random.default_rng(seed)
     hours = np.arange(366 * 24) / 24.0
-    course = _course(law, rng, hours)
-    course *= rng.uniform(3.0, 15.0) * rng.choice([-1.0, 1.0]) / course[days * 24]
+    course = creep_course(law, rng, hours, days)
     course += 5.0 * rng.normal()
     n = days * 24
     values = course[:n] + _creep_noise(noise, rng, n)
@@ -182,6 +181,13 @@ def make_creep(
         for begin in rng.integers(24, n, rng.poisson(3)):
             keep[begin : begin + int(24.0 * rng.exponential(3.0))] = False
     return BEGIN_S + hours[:n][keep] * DAY_S, values[keep], float(course[365 * 24])
+
+
+def creep_course(law: str, rng: np.random.Generator, at_days: FloatArray, by: int) -> FloatArray:
+    """Creep (n,), mm, at days since loading: 3 to 15 mm by one of them, shape drawn evenly."""
+    found = _course(law, rng, at_days)
+    size_mm = rng.uniform(3.0, 15.0) * rng.choice([-1.0, 1.0])
+    return np.asarray(found * (size_mm / np.interp(by, at_days, found)))
 
 
 def _creep_noise(noise: str, rng: np.random.Generator, n: int) -> FloatArray:
