@@ -148,7 +148,7 @@ class _Search:
             self._keep[np.flatnonzero(self._keep)[out]] = False
         else:
             fit = self.fitted(places)
-        score = self._scores(fit)
+        score = self._scores(fit, places)
         kept = np.flatnonzero(self._keep)
         at = int(np.argmax(np.abs(score)))
         near = np.flatnonzero(score**2 < score[at] ** 2 - _WHEN_DROP)
@@ -156,9 +156,12 @@ class _Search:
         last = near[near > at].min(initial=len(score)) - 1
         return int(kept[at]), float(score[at]), int(kept[first]), int(kept[last])
 
-    def _scores(self, fit: NoiseFit) -> FloatArray:
+    def _scores(self, fit: NoiseFit, places: list[int]) -> FloatArray:
+        """Of a further step at each value that is kept, beside those at places."""
         score = step_scores(fit.gls) / np.sqrt(step_information(fit.whitening, fit.gls))
         score[:_EDGE] = score[-_EDGE + 1 :] = 0.0
+        # A second one at a place would be rounding over rounding.
+        score[np.searchsorted(np.flatnonzero(self._keep), places)] = 0.0
         return score
 
     def spread(self, places: list[int]) -> float:
@@ -166,7 +169,7 @@ class _Search:
 
         Where the noise is not what can be fitted, the scores' own spread says so.
         """
-        inner = self._scores(self.fitted(places))[_EDGE : -_EDGE + 1]
+        inner = self._scores(self.fitted(places), places)[_EDGE : -_EDGE + 1]
         return max(1.0, _MAD_TO_SIGMA * float(np.median(np.abs(inner))))
 
     def fitted(self, places: list[int]) -> NoiseFit:
@@ -230,7 +233,7 @@ class _Search:
             fit.noise,
             self._keep,
             self.columns(places),
-            float(np.abs(self._scores(fit)).max(initial=0.0)),
+            float(np.abs(self._scores(fit, places)).max(initial=0.0)),
             needed * float(step_sigma[len(step_sigma) // 2]),
             needed * float(step_sigma[day]),
         )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.bridges import BEGIN_S, DAY_S, Bridge, make
+from core.analysis.steps import find_steps
 from daemon.analysis.record import Channel, Record
 from daemon.analysis.study import Asked, Study, study
 from daemon.store.ledger.exclusion import ExcludedRows
@@ -50,3 +51,17 @@ def test_a_step_beside_quick_creep_is_one() -> None:
     (step,) = found.steps.steps
     assert step.mm.low <= 0.3 <= step.mm.high
     assert abs(step.time_s - BEGIN_S - 15.0 * DAY_S) <= 7200.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_step_soon_after_loading_is_found_once(seed: int) -> None:
+    """Creep, fitted in many columns, follows a step there nearly; what is left is rounding."""
+    rng = np.random.default_rng(seed)
+    hours = np.arange(90 * 24)
+    rates = 0.1 * 2.0 ** np.arange(11)
+    settling = -np.expm1(-hours[:, None] / 24.0 / rates)
+    values_mm = settling @ rng.normal(size=11) * 20.0 + 0.02 * rng.normal(size=len(hours))
+    times_s = BEGIN_S + 3600.0 * hours
+    (step,) = find_steps(times_s, values_mm + 2.0 * (hours >= 57), settling).steps
+    assert step.mm.value == pytest.approx(2.0, abs=0.1)
+    assert abs(step.time_s - BEGIN_S - 57.0 * 3600.0) <= 3600.0
