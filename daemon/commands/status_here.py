@@ -167,6 +167,7 @@ def status_fields(facts: Facts, items: list[Item]) -> dict[str, object]:
         "frames_not_kept_24h": facts.frames_not_kept_24h,
         "clock_synchronised": facts.clock_synchronised,
         "undated": facts.undated,
+        "to_measure_again": facts.to_measure_again,
     }
 
 

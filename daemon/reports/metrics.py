@@ -119,6 +119,11 @@ def _site(facts: Facts) -> Iterator[GaugeMetricFamily]:
     synchronised = facts.clock_synchronised
     yield _gauge("clock_synchronised", "1 if NTP or PTP disciplines the clock", synchronised)
     yield _gauge("undated_pairs", "Taken under a wrong clock, without a slot yet", facts.undated)
+    yield _gauge(
+        "rows_to_measure_again",
+        "Of a wrong clock, in their slots, with values as of the wrong time still",
+        facts.to_measure_again,
+    )
     text = "Rows of 24 hours without their images"
     yield _gauge("rows_without_frames", text, facts.frames_not_kept_24h)
     text = "Damaged databases that were set aside"

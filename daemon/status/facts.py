@@ -126,6 +126,8 @@ class Facts:
     """None for a simulated clock, and where the kernel does not tell."""
     undated: int
     """Pairs taken under a wrong clock that wait for their slots."""
+    to_measure_again: int
+    """Rows taken under a wrong clock, in their slots, with values as of the wrong time still."""
     sensors: tuple[str, ...]
     """The readings that the config names."""
     readings_failed: Mapping[str, datetime]
@@ -173,6 +175,7 @@ def collect_facts(
             simulated_clock=simulated,
             clock_synchronised=None if simulated else clock_is_synchronised(),
             undated=overview.undated(),
+            to_measure_again=overview.to_measure_again(),
             sensors=tuple(section.name for section in config.reading),
             readings_failed=_readings_failed(overview, last),
         )

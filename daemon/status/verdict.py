@@ -309,11 +309,15 @@ def _clock(facts: Facts) -> Item:
     if facts.undated:
         text = f"{facts.undated} pairs taken under a wrong clock have no slot yet: dcam-ctl redate"
         return Item("clock", Level.WARNING, text)
+    again = ""
+    if facts.to_measure_again:
+        rows = count_of(facts.to_measure_again, "row")
+        again = f"; {rows} of a wrong clock left to measure again"
     if facts.simulated_clock:
-        return Item("clock", Level.OK, "simulated")
+        return Item("clock", Level.OK, f"simulated{again}")
     if facts.clock_synchronised is None:
         return Item("clock", Level.UNKNOWN, "the kernel does not tell whether it is synchronised")
     if not facts.clock_synchronised:
         text = "not synchronised; check chronyc tracking or timedatectl"
         return Item("clock", Level.WARNING, text)
-    return Item("clock", Level.OK, "synchronised")
+    return Item("clock", Level.OK, f"synchronised{again}")

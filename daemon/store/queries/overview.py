@@ -178,6 +178,11 @@ class Overview:
         """How many pairs wait for their slots."""
         return int(value(self._connection, "SELECT count(*) FROM undated"))
 
+    def to_measure_again(self) -> int:
+        """How many rows of a wrong clock wait to be measured as of their true times."""
+        query = "SELECT count(*) FROM redated WHERE again IS NULL"
+        return int(value(self._connection, query))
+
     def gaps(self, since: datetime, until: datetime) -> list[GapRecord]:
         """Gaps with at least one moment in since <= t < until, whole, in order."""
         query = "SELECT * FROM gap WHERE end_utc >= ? AND start_utc < ? ORDER BY start_utc"

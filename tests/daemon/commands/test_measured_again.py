@@ -58,6 +58,9 @@ class Bridge:
         shift_s = (TRUE - WOKE).total_seconds()
         return self.ctl("redate", "--boot", "this", "--shift", shift_s)
 
+    def left_to_measure_again(self) -> int:
+        return json.loads(self.ctl("status", "--json").out)["to_measure_again"]
+
     def rows(self) -> list[MeasurementRecord]:
         with open_store_readonly(self.state) as store:
             return list(store.measurements())
@@ -94,8 +97,12 @@ def test_rows_of_a_wrong_clock_are_those_of_their_true_times_in_the_end(bridge: 
     assert "\n4 rows made once more from their frames and compared to the last bit" in ran.out
     assert "\n3 rows that a wrong clock had dated, with values as of its time still" in ran.out
     assert "3 rows of a wrong clock: dcamd will measure them again" in ran.out
+    assert bridge.left_to_measure_again() == WRONG
+    shown = " ".join(bridge.ctl("status").out.split())
+    assert "3 rows of a wrong clock left to measure again" in shown
 
     bridge.run(1)
+    assert bridge.left_to_measure_again() == 0
     ran = bridge.ctl("verify", "--rebuild", 100)
     assert ran.code == 0, ran.out
     assert "\n8 rows made once more from their frames and compared to the last bit" in ran.out
