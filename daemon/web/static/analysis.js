@@ -31,7 +31,11 @@ const tables = (found) => [
     found.days.toReversed().map((day) => [day.day, fixed(day.min_mm), fixed(day.mean_mm), fixed(day.max_mm), `${day.rows}`, percent(day.completeness)])),
 ];
 
-const sentences = (lines) => el("ul", { class: "items" }, lines.map((line) => el("li", {}, line)));
+const TIMES = /(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ)/;
+
+/** Sentences whose times follow the choice of zone, as those of the tables do. */
+const sentences = (lines) => el("ul", { class: "items" }, lines.map((line) =>
+  el("li", {}, ...line.split(TIMES).map((piece, k) => (k % 2 ? timeElement(piece) : piece)))));
 
 const compared = (one) => [
   el("h3", {}, `${one.point} ${one.axis}`), sentences(one.sentences),

@@ -210,6 +210,20 @@ class TestOtherPages:
         visit.page.get_by_role("button", name="Go").click()
         expect(days).not_to_contain_text(f"{PEAK_MM:.3f}")
 
+    def test_times_in_the_sentences_of_the_analysis_follow_the_zone(self, visit: Visit) -> None:
+        def with_step(route: Route) -> None:
+            found = route.fetch()
+            line = "step at 2026-03-02T12:00:00Z, +0.300 mm"
+            route.fulfill(response=found, json={**found.json(), "sentences": [line]})
+
+        visit.page.route("**/api/analysis*", with_step)
+        visit.go("/analysis")
+        line = visit.page.locator("#analysis li")
+        visit.page.locator("#zone").select_option("utc")
+        expect(line).to_have_text("step at 2026-03-02 12:00, +0.300 mm")
+        visit.page.locator("#zone").select_option("site")
+        expect(line).to_have_text("step at 2026-03-02 13:00, +0.300 mm")
+
     def test_both_masses_of_a_reading_have_a_name_of_their_own(self, visit: Visit) -> None:
         """The answer is the server's, but for what a record of months would have found."""
         between = {"value": 1.0, "low": 0.9, "high": 1.1}
