@@ -119,12 +119,15 @@ def _take_deep(config: Config, clock: Clock, look: _Look) -> None:
         role: config.camera.of(role).model_copy(update={"pixel_format": DEEP}) for role in ROLES
     }
     changed = config.model_copy(update={"camera": config.camera.model_copy(update=deep)})
-    try:
-        with closing(open_pair_source(changed, clock)) as source:
-            pair = source.capture(clock.now_utc().replace(microsecond=0))
-    except DriverError as error:
-        look.deep = str(error)
-        return
+    for tries_left in (1, 0):  # a camera that was just closed may not answer at once
+        try:
+            with closing(open_pair_source(changed, clock)) as source:
+                pair = source.capture(clock.now_utc().replace(microsecond=0))
+            break
+        except DriverError as error:
+            if not tries_left:
+                look.deep = str(error)
+                return
     taken: tuple[tuple[Role, CapturedFrame], ...] = (("main", pair.main), ("sub", pair.sub))
     for role, frame in taken:
         look.deep_in_order[role] = is_swapped(frame.pixels, frame.bits) is False
