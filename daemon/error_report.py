@@ -76,6 +76,11 @@ def report(error: BaseException, program: str, *, debug: bool) -> ExitCode:
     return exit_code_of(error)
 
 
+def ignore_older_matplotlib() -> None:
+    """Hide that ours cannot draw in three dimensions beside an older one of the system."""
+    warnings.filterwarnings("ignore", "Unable to import Axes3D", UserWarning)
+
+
 def run(command: click.Command, program: str, arguments: Sequence[str] | None = None) -> int:
     """Run a click command and give its exit code; the one place where errors become text.
 
@@ -83,8 +88,7 @@ def run(command: click.Command, program: str, arguments: Sequence[str] | None = 
     """
     argv = list(sys.argv[1:] if arguments is None else arguments)
     write_readably()
-    # What an older matplotlib of the system makes ours say: it cannot draw in three dimensions.
-    warnings.filterwarnings("ignore", "Unable to import Axes3D", UserWarning)
+    ignore_older_matplotlib()
     try:
         result = command.main(args=argv, prog_name=program, standalone_mode=False)
     except BrokenPipeError:

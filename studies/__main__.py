@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
-import warnings
 from pathlib import Path
 
+from daemon.error_report import ignore_older_matplotlib
 from studies.keep import ROOT, Keep
 
 STUDIES = ("numerical", "laboratory", "peers", "sensitivity", "field")
@@ -19,8 +19,7 @@ def main() -> int:
     if unknown := sorted(set(options.names) - set(STUDIES)):
         print(f"studies: no study {unknown[0]!r}; there: {', '.join(STUDIES)}", file=sys.stderr)
         return 2
-    # Debian's matplotlib, which comes with mrcal, beside ours.
-    warnings.filterwarnings("ignore", "Unable to import Axes3D", UserWarning)
+    ignore_older_matplotlib()  # Debian's, which comes with mrcal
     changed: list[str] = []
     failed: list[str] = []
     for name in options.names or STUDIES:
