@@ -21,7 +21,7 @@ from daemon import main
 from daemon.clock import machine
 from daemon.slots import measuring, row_history
 from daemon.slots.measuring import ActiveCalibration, ImagePair
-from daemon.slots.row_history import RowHistory, stored_continuity
+from daemon.slots.row_history import RowHistory, stored_step_detector
 from daemon.store.database import Store
 from drivers.protocols import Image, Role
 from drivers.sim import world
@@ -104,7 +104,7 @@ class Remembered:
         if calibration is None or measurement.corrected is None:
             return measurement
         if self._sequence is None:
-            so_far = stored_continuity(store, calibration, slot_utc)
+            so_far = stored_step_detector(store, calibration, slot_utc)
             self._sequence = RowHistory(calibration, limits, so_far)
         return self._sequence.judge(slot_utc, measurement)
 

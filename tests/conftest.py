@@ -72,7 +72,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_node_collection_finished(node: Any) -> None:
-    """Let no process begin before the loops are compiled; a failure is told by their tests."""
+    """Let no process begin before the loops are compiled; a failure shows in their tests."""
     node.config.stash[COMPILING].wait()
 
 

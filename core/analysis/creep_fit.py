@@ -96,9 +96,9 @@ class Weights:
         columns = np.column_stack([record.level_mm, between, record.design])
         weighted = solve_triangular(half, columns, lower=True)
         basis, corner = np.linalg.qr(weighted[:, 1 + m :])
-        told = weighted[:, 1 : 1 + m]
-        left = np.maximum(asked - np.einsum("nm,nm->m", told, told), 0.0)
-        return cls(record, half, basis, corner, weighted[:, 0], told, left)
+        explained = weighted[:, 1 : 1 + m]
+        left = np.maximum(asked - np.einsum("nm,nm->m", explained, explained), 0.0)
+        return cls(record, half, basis, corner, weighted[:, 0], explained, left)
 
     @property
     def log_determinant(self) -> float:
@@ -254,7 +254,7 @@ def weighed(tried: Curves, weights: Weights, size: float) -> Shapes:
     lever = solve_triangular(weights.corner, first, trans="T")
     taken = (weights.asked.T @ whole + lever.T @ shared).reshape(-1, k, q)
     asked = tried.asked - taken.swapaxes(0, 1)
-    told = (weights.asked + weights.basis @ lever).T @ weights.level
+    departed_mm = (weights.asked + weights.basis @ lever).T @ weights.level
     variance = weights.asked_variance + np.einsum("pm,pm->m", lever, lever)
     variance = scale[:, None] * variance
     variance = variance + np.einsum("kmq,kqr,kmr->km", asked, one_way.covariance_mm2, asked)
@@ -269,7 +269,7 @@ def weighed(tried: Curves, weights: Weights, size: float) -> Shapes:
         + one_way.log_gain
         + weights.log_determinant
         + tried.log_prior,
-        mean_mm=told + np.einsum("kmq,kq->km", asked, one_way.mean_mm),
+        mean_mm=departed_mm + np.einsum("kmq,kq->km", asked, one_way.mean_mm),
         sigma_mm=np.sqrt(variance),
         departure=size,
     )

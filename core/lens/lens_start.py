@@ -263,7 +263,7 @@ def _reasons(
         for view, pose in zip(views, agreed.seen.poses, strict=True)
     ]
     rejected = {
-        v: _misfit_text(view, off, pose, agreed.typical_px)
+        v: _residual_text(view, off, pose, agreed.typical_px)
         for v, (view, (pose, off)) in enumerate(zip(views, found, strict=True))
         if v not in agreed.kept
     }
@@ -282,7 +282,7 @@ def _from_the_front(pose: Pose) -> bool:
     return float(pose.R[:, 2] @ pose.t_mm) > 0.0
 
 
-def _misfit_text(view: BoardView, off: FloatArray, pose: Pose | None, typical_px: float) -> str:
+def _residual_text(view: BoardView, off: FloatArray, pose: Pose | None, typical_px: float) -> str:
     if len(view.index) < MIN_CORNERS:
         return f"{len(view.index)} corners of the board, {MIN_CORNERS} are needed"
     if pose is None:

@@ -148,7 +148,7 @@ class StepDetector:
         names = slip.channel, junction.witness
         left_mm = junction.step_mm(names[0]) + slip.by_mm, junction.step_mm(names[1]) - slip.by_mm
         usual_mm = [junction.usual_mm(self.history, name, slip.axis) for name in names]
-        # What the slip was is known as well as the steadier of the two told it.
+        # What the slip was is known as well as the steadier of the two shows it.
         return all(
             abs(left[slip.axis]) <= usual + min(usual_mm)
             for left, usual in zip(left_mm, usual_mm, strict=True)

@@ -30,9 +30,9 @@ _SATURATED_SHARE = 0.3
 """Of all pixels: so many are saturated only when the white of the target is too."""
 _HIDDEN_SHARE = 0.005
 """Of the board's corners: five of 930. Chosen: less does not move a value; insensitive."""
-_MISFIT_WEIGHT = 0.1
+_OUTLIER_WEIGHT = 0.1
 """Weight of a corner that does not fit: it is 5.3 standard deviations off."""
-_MISFIT_PX = 0.05
+_OUTLIER_PX = 0.05
 """And so far at least: more than a board's print errors leave."""
 _MISMATCH_SHARE = 0.25
 """Of the print errors that may be missing: two squares off, even the lines of one direction alone
@@ -121,11 +121,11 @@ def judge_sub(calibrated: CalibratedSite, located: LocatedBoard, board: BoardPos
 def _hidden(located: LocatedBoard, board: BoardPose) -> int:
     """How many corners something lies on: those lost to a shadow's edge are not among them."""
     off = np.hypot(board.residuals_px[:, 0], board.residuals_px[:, 1])
-    misfit = (board.weights < _MISFIT_WEIGHT) & (off > _MISFIT_PX)
+    outlying = (board.weights < _OUTLIER_WEIGHT) & (off > _OUTLIER_PX)
     points = located.view.points_px
-    lost = np.concatenate([located.missing_px, points[misfit]])
-    white, black = located.white_dn[~misfit], located.black_dn[~misfit]
-    crossed = crossed_by_shadow(lost, points[~misfit], white, black)
+    lost = np.concatenate([located.missing_px, points[outlying]])
+    white, black = located.white_dn[~outlying], located.black_dn[~outlying]
+    crossed = crossed_by_shadow(lost, points[~outlying], white, black)
     return int((~crossed).sum())
 
 

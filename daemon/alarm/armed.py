@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from daemon.alarm.memory import Memory, read_memory
-from daemon.alarm.orders import Orders, read_orders
+from daemon.alarm.operator_actions import OperatorActions, read_operator_actions
 from daemon.alarm.wrong import level_of
 from daemon.config.alarm import WATCHED, RateAlarm, ReadingAlarm, ValueAlarm
 from daemon.config.model import Config
@@ -56,11 +56,11 @@ class ArmedAlarm:
 def armed_alarms(config: Config, state: Path, now_utc: datetime) -> list[ArmedAlarm]:
     """All alarms of a site, those that are raised first; from small files, never the database."""
     memory, _ = read_memory(state)
-    orders, _ = read_orders(state)
+    actions, _ = read_operator_actions(state)
     watched = _watched(config)
     for name, one in memory.raised.items():  # of another config, or a status that fails
         watched.setdefault(name, (one.level, "the whole site"))
-    found = [_one(*(name, *what), memory, orders, now_utc) for name, what in watched.items()]
+    found = [_one(*(name, *what), memory, actions, now_utc) for name, what in watched.items()]
     return sorted(found, key=lambda one: one.since_utc is None)
 
 
@@ -87,8 +87,8 @@ def alarm_item(config: Config, state: Path, now_utc: datetime) -> Item:
     if silent:
         until_utc = max(one.silent_until_utc or now_utc for one in silent)
         text += f", {len(silent)} silent until {utc_text(until_utc.replace(microsecond=0))}"
-    told = [one.level for one in raised if one.name in own and one.state == "raised"]
-    return Item("alarms", max(told, default=Level.OK), text)
+    sent = [one.level for one in raised if one.name in own and one.state == "raised"]
+    return Item("alarms", max(sent, default=Level.OK), text)
 
 
 def _watched(config: Config) -> dict[str, tuple[Level, str]]:
@@ -122,16 +122,16 @@ def about(one: ValueAlarm | RateAlarm | ReadingAlarm) -> str:
 
 
 def _one(
-    name: str, level: Level, about: str, memory: Memory, orders: Orders, now_utc: datetime
+    name: str, level: Level, about: str, memory: Memory, actions: OperatorActions, now_utc: datetime
 ) -> ArmedAlarm:
-    silence = orders.silence_of(name, now_utc)
+    silence = actions.silence_of(name, now_utc)
     until_utc = silence.until_utc if silence else None
     raised = memory.raised.get(name)
     if raised is None:
         state: State = "silenced" if silence else "armed"
         note = silence.note if silence else ""
         return ArmedAlarm(name, state, level, about, note=note, silent_until_utc=until_utc)
-    ack = orders.ack_of(name, raised)
+    ack = actions.ack_of(name, raised)
     state = "acknowledged" if ack else "raised and silenced" if silence else "raised"
     return ArmedAlarm(
         *(name, state, raised.level, about),

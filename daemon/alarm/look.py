@@ -15,7 +15,7 @@ from pathlib import Path
 from daemon.alarm.confirmation import Outcome, SecondMeasurement
 from daemon.alarm.history import Happened, Kind, note_history
 from daemon.alarm.memory import Memory, keep_memory
-from daemon.alarm.orders import read_orders
+from daemon.alarm.operator_actions import read_operator_actions
 from daemon.alarm.receivers import NotAcceptedError, Receiver
 from daemon.alarm.rules import (
     Message,
@@ -104,7 +104,7 @@ def look(
 ) -> Outcomes:
     """Remember what was found, and tell each receiver what is due."""
     outcomes = Outcomes()
-    orders, complaint = read_orders(place.state)
+    actions, complaint = read_operator_actions(place.state)
     if complaint:
         outcomes.lines.append(complaint)
     settings, keys = place.settings, {receiver.key for receiver in everyone}
@@ -126,11 +126,11 @@ def look(
         note_history(place.state, happened)
     kept = _keep(place.state, kept, memory, outcomes)
     for receiver in everyone:
-        message = due(memory, receiver.key, orders, settings, now_utc, warned=found.warned)
+        message = due(memory, receiver.key, actions, settings, now_utc, warned=found.warned)
         if message is None:
             continue
         words = text(
-            *(memory, message, found.wrong, orders, now_utc),
+            *(memory, message, found.wrong, actions, now_utc),
             warned=found.warned,
             again=memory.sending.get(receiver.key) == message.id,
         )

@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 from daemon.alarm.history import Happened
 from daemon.alarm.memory import Memory, Raised, Sent
-from daemon.alarm.orders import Orders
+from daemon.alarm.operator_actions import OperatorActions
 from daemon.alarm.wrong import Wrong, since_text
 from daemon.config.alarm import AlarmSection
 from daemon.status.item import Level
@@ -127,7 +127,7 @@ def changes(before: Memory, after: Memory, now_utc: datetime) -> list[Happened]:
 def due(
     memory: Memory,
     receiver: str,
-    orders: Orders,
+    actions: OperatorActions,
     settings: AlarmSection,
     now_utc: datetime,
     *,
@@ -142,14 +142,14 @@ def due(
     listed = {
         name: one
         for name, one in sorted(memory.raised.items(), key=lambda pair: -pair[1].level)
-        if orders.silence_of(name, now_utc) is None
+        if actions.silence_of(name, now_utc) is None
     }
-    open_ = {name: one for name, one in listed.items() if orders.ack_of(name, one) is None}
+    open_ = {name: one for name, one in listed.items() if actions.ack_of(name, one) is None}
     fresh = tuple(n for n, one in open_.items() if one.level > known.get(n, Level.OK))
     cleared = tuple(
         name
         for name in known
-        if name not in memory.raised and orders.silence_of(name, now_utc) is None
+        if name not in memory.raised and actions.silence_of(name, now_utc) is None
     )
     eased = tuple(n for n, one in open_.items() if one.level < known.get(n, Level.OK))
     if fresh:
@@ -211,7 +211,7 @@ def text(
     memory: Memory,
     message: Message,
     found: Sequence[Wrong],
-    orders: Orders,
+    actions: OperatorActions,
     now_utc: datetime,
     *,
     warned: Mapping[str, str] = MappingProxyType({}),
@@ -232,7 +232,7 @@ def text(
         since = memory.since.get(name, one.at_utc).replace(microsecond=0)
         lasted = span_text((now_utc - since).total_seconds())
         said = "; ".join(filter(None, (now.get(name, one.text), one.confirmation)))
-        ack = orders.ack_of(name, one)
+        ack = actions.ack_of(name, one)
         known = f" (acknowledged by {ack.by})" if ack else ""
         level = one.level.name.lower()
         if name in message.eased:

@@ -161,9 +161,9 @@ def _events(into: list[Mapping[str, Any]]) -> Iterator[None]:
 def _of_camera(role: Role, config: Config, look: _Look) -> Iterator[Finding]:
     serial = str(config.camera.of(role).serial)
     mine = [event for event in look.events if _is_of(event, serial, role)]
-    told = next((event for event in mine if event["event"] == "camera_identity"), {})
-    yield Finding(f"{role} serial", "ok", _serials(serial, told))
-    yield Finding(f"{role} camera", "ok", _plain(told.get("said")) or "tells nothing of itself")
+    identity = next((event for event in mine if event["event"] == "camera_identity"), {})
+    yield Finding(f"{role} serial", "ok", _serials(serial, identity))
+    yield Finding(f"{role} camera", "ok", _plain(identity.get("said")) or "tells nothing of itself")
     frames = look.frames[role]
     if len(frames) > 1:
         yield camera_clock(f"{role} clock", frames)
@@ -175,11 +175,13 @@ def _of_camera(role: Role, config: Config, look: _Look) -> Iterator[Finding]:
     yield Finding(f"{role} reports", "warning" if said else "ok", "; ".join(said) or "nothing odd")
 
 
-def _serials(configured: str, told: Mapping[str, Any]) -> str:
+def _serials(configured: str, identity: Mapping[str, Any]) -> str:
     """The number of the config, of the library's list and of the camera itself."""
-    own = told.get("said", {}).get("DeviceSerialNumber")
+    own = identity.get("said", {}).get("DeviceSerialNumber")
     parts = [f"{as_on_usb(configured)} in the config"]
-    parts += [f"{as_on_label(told['listed'])} in the library's list"] if "listed" in told else []
+    parts += (
+        [f"{as_on_label(identity['listed'])} in the library's list"] if "listed" in identity else []
+    )
     parts += [f"{own} by the camera itself"] if own else []
     return ", ".join(parts)
 

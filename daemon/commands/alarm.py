@@ -14,7 +14,7 @@ from daemon.alarm.history import alarm_history
 from daemon.alarm.kept import only_one
 from daemon.alarm.look import Place, find_wrong, look
 from daemon.alarm.memory import read_memory
-from daemon.alarm.orders import acknowledge, end_silence, silence
+from daemon.alarm.operator_actions import acknowledge, end_silence, silence
 from daemon.alarm.receivers import NotAcceptedError, Receiver, receivers
 from daemon.alarm.wrong import alarm_name
 from daemon.commands.durations import duration_s

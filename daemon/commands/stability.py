@@ -69,7 +69,7 @@ def command(
             read = read_closure_hours(store.path, since or ALWAYS, until or NEVER, steps.at)
     references_s = {k: c.reference.utc_s for k, c in calibrations.items() if c.reference}
     hours = read.of(references_s, _distances(calibrations))
-    _require_enough(hours, told=bool(read.closure), state=str(options.state))
+    _require_enough(hours, has_closure=bool(read.closure), state=str(options.state))
     fits = {str(k): fit_rig(one) for k, one in _each(hours).items()}
     joined = fit_rig(hours)
     verdicts = _verdicts(site, _scale(calibrations), joined)
@@ -140,13 +140,13 @@ def _scale(calibrations: Mapping[int, Calibration]) -> float:
     return main_scale(newest.calibrated.B)
 
 
-def _require_enough(hours: TargetHours, *, told: bool, state: str) -> None:
+def _require_enough(hours: TargetHours, *, has_closure: bool, state: str) -> None:
     """Raise WorkFailedError with what is missing."""
     import numpy as np
 
     from core.rig.learnt import FEWEST_DAYS, FEWEST_HOURS, LEAST_K
 
-    if not told or not len(hours.distance_mm):
+    if not has_closure or not len(hours.distance_mm):
         missing = (
             "no row with a good fixed target and the camera's temperature; hang one "
             "([[target.extra]], role fixed) and calibrate with it in view"

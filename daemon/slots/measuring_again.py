@@ -22,8 +22,8 @@ from daemon.errors import StoreError
 from daemon.slots.identity import made_by
 from daemon.slots.learner import Learner
 from daemon.slots.measuring import ActiveCalibration, load_pairs
-from daemon.slots.pipeline import SlotContext
-from daemon.slots.row_history import measure_in_record, slip_that_began
+from daemon.slots.pipeline import SlotContext, note_slip
+from daemon.slots.row_history import measure_in_record
 from daemon.store.database import Store
 from daemon.store.records import Again, MeasurementRecord
 from daemon.times import slot_text
@@ -85,7 +85,7 @@ class MeasuringAgain:
         except ValueError:
             _log.exception("measuring_again_broke", slot=slot_text(slot_utc))
             return self._leave(number, Again.BROKE), 0.0
-        self._note_slip(found)
+        note_slip(self._context, found, calibration_of(store, found))
         return Again.MEASURED, change_mm(record, found)
 
     def _leave(self, number: int, why: Again) -> Again:
@@ -121,12 +121,6 @@ class MeasuringAgain:
             version=made_by(),
             recorded_late=True,
         )
-
-    def _note_slip(self, record: MeasurementRecord) -> None:
-        calibration = calibration_of(self._context.store, record)
-        told = slip_that_began(self._context.store, calibration, record)
-        if told is not None:
-            self._context.store.add_event(self._context.clock.now_utc(), "board_slipped", told)
 
     def _tell(self, last_utc: datetime, done: Counter[Again], largest_mm: float) -> None:
         """Enter in the history what was done."""

@@ -112,7 +112,7 @@ def run_slot(
         context.disk.with_room(lambda: add(record))
     except Exception as error:  # noqa: BLE001 - as above; frames that were kept are measured late
         return _missed(slot_utc, error, GapCause.STORAGE_FAILED)
-    _note_slip(context, record, calibration)
+    note_slip(context, record, calibration)
     _acknowledge(context, record, calibration.datum if calibration else None, started_s)
     if context.changes is not None:
         context.changes.note(readings)
@@ -128,7 +128,7 @@ def record_late(context: SlotContext, slot_utc: datetime) -> MeasurementRecord:
     record = measure_stored(context, slot_utc)
     datum = context.store.datum(record.calibration_id)
     context.store.add_measurement(record)
-    _note_slip(context, record, active_calibration(context.store))
+    note_slip(context, record, active_calibration(context.store))
     _acknowledge(context, record, datum, started_s)
     context.late_row_done(slot_utc)
     return record
@@ -203,14 +203,14 @@ def _measure(
     )
 
 
-def _note_slip(
+def note_slip(
     context: SlotContext, record: MeasurementRecord, calibration: ActiveCalibration | None
 ) -> None:
     """Write into the history since when the board has been elsewhere, at the first row marked."""
     try:
-        told = None if context.undated else slip_that_began(context.store, calibration, record)
-        if told is not None:
-            context.store.add_event(context.clock.now_utc(), "board_slipped", told)
+        slip = None if context.undated else slip_that_began(context.store, calibration, record)
+        if slip is not None:
+            context.store.add_event(context.clock.now_utc(), "board_slipped", slip)
     except StoreError as error:  # the row is stored, and says it too
         _log.warning("slip_not_noted", slot=slot_text(record.slot_utc), error=str(error))
 

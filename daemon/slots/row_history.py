@@ -88,7 +88,7 @@ def judge_in_history(
     """Judge a new row by the stored rows before its slot. Raises StoreError."""
     if calibration is None or calibration.id is None or measurement.corrected is None:
         return measurement
-    so_far = stored_continuity(store, calibration, slot_utc)
+    so_far = stored_step_detector(store, calibration, slot_utc)
     return RowHistory(calibration, limits, so_far).judge(slot_utc, measurement)
 
 
@@ -101,7 +101,7 @@ def slip_that_began(
     """
     if calibration is None or Reason.BOARD_SLIPPED not in record.measurement.reasons:
         return None
-    slip = stored_continuity(store, calibration, record.slot_utc + _SECOND).slip
+    slip = stored_step_detector(store, calibration, record.slot_utc + _SECOND).slip
     return _slip_text(slip) if slip is not None and len(slip.rows) == 1 else None
 
 
@@ -111,7 +111,7 @@ def _slip_text(slip: BoardSlip) -> str:
     return f"since {slot_text(since_utc)}, x {x_mm:+.3f} y {y_mm:+.3f} mm of false displacement"
 
 
-def stored_continuity(
+def stored_step_detector(
     store: Store, calibration: ActiveCalibration, slot_utc: datetime
 ) -> StepDetector:
     """Give what the database knows of the rows before a slot. Raises StoreError."""

@@ -52,7 +52,7 @@ class Redated:
 
 @dataclass(frozen=True, slots=True)
 class Books:
-    """What redating writes to."""
+    """What a time correction writes to."""
 
     store: Store
     state: Path

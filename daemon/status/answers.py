@@ -32,7 +32,7 @@ _SAYS_TODO = re.compile(
     "dcam-ctl|journalctl|start dcamd|chronyc|calibrate again|free some space|none yet|clock wrong"
 )
 _FIRST = (Level.CRITICAL, Level.WARNING, Level.UNKNOWN)
-"""In which order is told what is wrong."""
+"""In which order it says what is wrong."""
 _YEARS_FROM = 1000
 """Days that are said as years from here on."""
 

@@ -145,7 +145,7 @@ def collect_facts(
     with open_overview(state) as overview:
         accounted, last = overview.accounted(), overview.last_row()
         calibration = overview.calibration()
-        residual_ratio, slipped_utc = _continuity(overview, last, calibration)
+        residual_ratio, slipped_utc = _fit_and_slip(overview, last, calibration)
         last_good = _last_good(overview, last)
         note, until_utc = read_note(state), now_utc + timedelta(seconds=1)
         return Facts(
@@ -210,7 +210,7 @@ def _daemon(overview: Overview, state: Path, now_utc: datetime) -> Daemon:
     )
 
 
-def _continuity(
+def _fit_and_slip(
     overview: Overview, last: MeasurementRecord | None, calibration: ActiveCalibrationSummary | None
 ) -> tuple[float | None, datetime | None]:
     """How well the corners have fitted of late, and the last row of a board that has slipped."""

@@ -72,7 +72,7 @@ def _parse(path: FramePath, text: str) -> Iterator[tuple[int, FrameSetRow]]:
                 continue
             where = f"{path}:{lines.line_num}"
             if len(cells) != len(columns):
-                msg = f"{where}: {len(cells)} fields, the header has {len(columns)}; mend the line"
+                msg = f"{where}: {len(cells)} fields, the header has {len(columns)}; fix the line"
                 raise FrameSetError(msg)
             cell = dict(zip(columns, (text.strip() for text in cells), strict=True))
             try:
@@ -81,7 +81,7 @@ def _parse(path: FramePath, text: str) -> Iterator[tuple[int, FrameSetRow]]:
                 msg = f"{where}: {error}"
                 raise FrameSetError(msg) from None
     except csv.Error as error:
-        msg = f"{path}:{lines.line_num}: not a CSV line ({error}); mend the line"
+        msg = f"{path}:{lines.line_num}: not a CSV line ({error}); fix the line"
         raise FrameSetError(msg) from None
 
 

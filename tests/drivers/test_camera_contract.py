@@ -26,9 +26,9 @@ from drivers.sim.world import World
 from tests.drivers.genicam.gige.bench import (
     SETTINGS,
     gige_network,
+    grab,
     image_index,
     running,
-    shoot,
 )
 from tests.drivers.genicam.gige.bench import write_images as write_noise
 from tests.drivers.genicam.gige.kinds import KindName, kind_of
@@ -51,9 +51,9 @@ class Bench:
     take_away: Callable[[], None]
     give_back: Callable[[], None]
 
-    def shoot(self, n: int) -> CapturedFrame:
+    def grab(self, n: int) -> CapturedFrame:
         """Take the n-th frame, and turn to the next scene."""
-        frame = shoot(self.camera)
+        frame = grab(self.camera)
         self.next_scene(n)
         return frame
 
@@ -131,7 +131,7 @@ def bench(request: pytest.FixtureRequest) -> Bench:
 
 def test_frames_are_exact_new_and_dated(bench: Bench) -> None:
     bench.camera.open()
-    frames = [bench.shoot(n) for n in (1, 2, 3, 4)]
+    frames = [bench.grab(n) for n in (1, 2, 3, 4)]
     assert [bench.image_shown(frame.pixels) for frame in frames] == [0, 1, 2, 3]
     for frame in frames:
         assert frame.pixels.shape == (bench.settings.height_px, bench.settings.width_px)
@@ -148,17 +148,17 @@ def test_frames_are_exact_new_and_dated(bench: Bench) -> None:
 def test_exposure_and_gain_change_between_frames_within_what_the_camera_can(bench: Bench) -> None:
     """Told by the frames, kept from frame to frame, and forgotten by a camera that is closed."""
     bench.camera.open()
-    bench.shoot(1)
+    bench.grab(1)
     seen = []
     for n, wanted in enumerate([(2500.0, 6.0), (1e-3, -99.0), (1000.0, None), None], start=2):
         if wanted is not None:
             bench.camera.set_exposure(*wanted)
-        frame = bench.shoot(n)
+        frame = bench.grab(n)
         seen.append((frame.exposure_us, frame.gain_db))
     assert seen == [(2500.0, 6.0), (4.83, 0.0), (1000.0, 0.0), (1000.0, 0.0)]
     bench.camera.close()
     bench.camera.open()
-    frame = bench.shoot(6)
+    frame = bench.grab(6)
     assert (frame.exposure_us, frame.gain_db) == (
         bench.settings.exposure_us,
         bench.settings.gain_db,
@@ -167,11 +167,11 @@ def test_exposure_and_gain_change_between_frames_within_what_the_camera_can(benc
 
 def test_a_frame_nobody_fetched_is_not_taken_for_the_next(bench: Bench) -> None:
     bench.camera.open()
-    bench.shoot(1)
+    bench.grab(1)
     bench.camera.arm()
     bench.camera.trigger()
     bench.next_scene(2)  # and nobody fetches
-    assert bench.image_shown(bench.shoot(3).pixels) == 2
+    assert bench.image_shown(bench.grab(3).pixels) == 2
 
 
 def test_without_a_trigger_there_is_no_frame_and_the_wait_ends(bench: Bench) -> None:
@@ -179,7 +179,7 @@ def test_without_a_trigger_there_is_no_frame_and_the_wait_ends(bench: Bench) -> 
     bench.camera.arm()
     with pytest.raises(FrameTimeoutError, match=bench.camera.serial):
         bench.camera.fetch(0.2)
-    assert bench.image_shown(bench.shoot(1).pixels) == 0
+    assert bench.image_shown(bench.grab(1).pixels) == 0
 
 
 def test_a_camera_that_is_not_open_says_so(bench: Bench) -> None:
@@ -196,24 +196,24 @@ def test_a_camera_that_is_not_open_says_so(bench: Bench) -> None:
 def test_a_camera_can_be_closed_twice_and_opened_again(bench: Bench) -> None:
     bench.camera.close()
     bench.camera.open()
-    assert bench.image_shown(bench.shoot(1).pixels) == 0
+    assert bench.image_shown(bench.grab(1).pixels) == 0
     bench.camera.close()
     bench.camera.close()
     with pytest.raises(DeviceLostError):
         bench.camera.arm()
     bench.camera.open()
-    assert bench.image_shown(bench.shoot(2).pixels) == 1
+    assert bench.image_shown(bench.grab(2).pixels) == 1
 
 
 def test_a_camera_that_went_away_is_lost_and_opened_again_when_back(bench: Bench) -> None:
     bench.camera.open()
-    bench.shoot(1)
+    bench.grab(1)
     bench.take_away()
     with pytest.raises(DeviceLostError, match=bench.camera.serial) as lost:
-        shoot(bench.camera, timeout_s=1.0)
+        grab(bench.camera, timeout_s=1.0)
     assert lost.value.role == "main"
     with pytest.raises(DeviceLostError, match=bench.camera.serial):
         bench.camera.open()
     bench.give_back()
     bench.camera.open()
-    assert bench.image_shown(shoot(bench.camera).pixels) is not None
+    assert bench.image_shown(grab(bench.camera).pixels) is not None

@@ -11,7 +11,7 @@ const [MARGIN, LEAST_HEIGHT, SHARE_OF_HEIGHT, SHARE_OF_WIDTH] = [40, 220, 0.42, 
 const KM_PER_DEG = 111.32;
 const LEAST_KM = 1;
 const [LABEL_PX, LETTER_PX] = [14, 7.5];
-const RADII = [5, 6.5, 8, 8]; // not by its colour alone is a level told
+const RADII = [5, 6.5, 8, 8]; // a level shows by more than its colour
 const MOST_NAMES = 200;
 
 // The map: a degree of longitude is narrower than one of latitude, as it is in the middle of the sites.

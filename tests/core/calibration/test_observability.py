@@ -1,4 +1,4 @@
-"""What a calibration foresees for its rows, and what it asks of the motions."""
+"""What a calibration predicts for its rows, and what it asks of the motions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`dcam-ctl plan`: from the config alone; what it foresees is what then comes."""
+"""`dcam-ctl plan`: from the config alone; what it predicts is what then comes."""
 
 from __future__ import annotations
 

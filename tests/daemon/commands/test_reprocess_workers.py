@@ -185,7 +185,7 @@ def test_an_interrupted_run_goes_on_where_it_was(
 
 @pytest.mark.usefixtures("small_chunks")
 @pytest.mark.parametrize("what", ["frame", "config", "damage"])
-def test_what_has_changed_since_the_interrupt_is_measured_anew(
+def test_what_has_changed_since_the_interrupt_is_measured_again(
     further: Path, ctl: Ctl, tmp_path: Path, monkeypatch, seen: list[str], what: str
 ) -> None:
     site, output = tmp_path / "site", tmp_path / "out.csv"

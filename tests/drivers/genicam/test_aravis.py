@@ -25,9 +25,9 @@ from tests.drivers.genicam.gige.bench import (
     HEIGHT_PX,
     SETTINGS,
     WIDTH_PX,
+    grab,
     image_index,
     running,
-    shoot,
     write_images,
 )
 from tests.drivers.genicam.gige.loopback import ADDRESSES
@@ -72,7 +72,7 @@ def test_a_camera_in_use_is_not_taken_over(
     monkeypatch.setattr("drivers.genicam.aravis_device.CONTROL_WAIT_S", 0.0)
     with pytest.raises(DeviceLostError, match="in use by another program"):
         opened(MAIN)
-    assert shoot(camera).pixels.shape == (HEIGHT_PX, WIDTH_PX)
+    assert grab(camera).pixels.shape == (HEIGHT_PX, WIDTH_PX)
 
 
 # --- set-up
@@ -84,7 +84,7 @@ def test_a_camera_with_the_older_names_and_no_gamma_works(
     """Aravis' own description: ExposureTimeAbs, GainRaw, nothing else that we set."""
     with running(CameraProcess(ADDRESSES[0], MAIN, images, ["--stock-xml"])):
         camera = opened(MAIN, exposure_us=300.0)
-        frame = shoot(camera)
+        frame = grab(camera)
         assert frame.exposure_us == 300.0
         assert frame.gain_db is None
         assert image_index(frame.pixels, images) == 0
@@ -119,7 +119,7 @@ def test_a_value_the_camera_rounds_is_logged(
     monkeypatch.setattr(AravisFeatures, "read", read_half)
     with capture_logs() as logs:
         camera = opened(MAIN, exposure_us=1000.0)
-    assert shoot(camera).exposure_us == 500.0
+    assert grab(camera).exposure_us == 500.0
     camera.close()
     differs = [log for log in logs if log["event"] == "camera_setting_differs"]
     assert [(log["feature"], log["wanted"], log["actual"]) for log in differs] == [
@@ -206,7 +206,7 @@ def _reconnect(
     for number in range(times):
         camera.open()
         if number % shots_every == 0:
-            shoot(camera)
+            grab(camera)
         camera.close()
         handles.append(_handles())
     return handles
@@ -266,7 +266,7 @@ def test_a_full_size_frame_is_exact_with_the_packet_size_that_was_found(
     images = write_images(tmp_path, 2, seed=6, shape=(1200, 1920))
     with running(CameraProcess(ADDRESSES[0], MAIN, images)):
         camera = opened(MAIN, width_px=1920, height_px=1200)
-        assert all(image_index(shoot(camera).pixels, images) is not None for _ in range(6))
+        assert all(image_index(grab(camera).pixels, images) is not None for _ in range(6))
         camera.close()
 
 

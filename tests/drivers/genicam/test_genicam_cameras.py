@@ -32,10 +32,10 @@ from tests.drivers.genicam.gige.bench import (
     HEIGHT_PX,
     SETTINGS,
     WIDTH_PX,
+    grab,
     image_index,
     read_pixels,
     running,
-    shoot,
     write_images,
 )
 from tests.drivers.genicam.gige.kinds import Kind
@@ -75,7 +75,7 @@ def settings(**values: Any) -> CameraSettings:
 def outcome(camera: Camera, timeout_s: float) -> DeviceError | None:
     """The error of one shot; None when it gave a frame."""
     try:
-        shoot(camera, timeout_s)
+        grab(camera, timeout_s)
     except DeviceError as error:
         return error
     return None
@@ -97,7 +97,7 @@ def test_two_cameras_are_distinguished_by_serial_though_they_changed_places(
             for serial in (MAIN, SUB):
                 with closing(kind.make(serial, SETTINGS, None)) as camera:
                     camera.open()
-                    assert image_index(shoot(camera).pixels, images[serial]) == 0
+                    assert image_index(grab(camera).pixels, images[serial]) == 0
 
 
 def test_a_wrong_serial_is_answered_with_the_ones_there_are(
@@ -128,7 +128,7 @@ def test_a_camera_whose_program_was_killed_is_taken_over_when_it_forgets_it(
         other.kill()
     with closing(kind.make(MAIN, SETTINGS, None)) as camera:
         camera.open()
-        assert shoot(camera).pixels.shape == (HEIGHT_PX, WIDTH_PX)
+        assert grab(camera).pixels.shape == (HEIGHT_PX, WIDTH_PX)
 
 
 # --- set-up
@@ -140,7 +140,7 @@ def test_every_automatic_mode_is_off_and_what_was_asked_is_set(
     """On a camera that comes up with all of them on, exposure and gain locked by them."""
     with closing(kind.make(MAIN, settings(exposure_us=20_000.0, gain_db=6.0), None)) as camera:
         camera.open()
-        frame = shoot(camera)
+        frame = grab(camera)
         assert (frame.exposure_us, frame.gain_db) == (20_000.0, 6.0)
         assert frame.temperature_c == 41.5
         for address in (
@@ -162,12 +162,12 @@ def test_a_changed_exposure_is_in_the_cameras_own_registers(
 ) -> None:
     """Between two frames, and brought within what the camera takes rather than refused."""
     camera.set_exposure(1234.5, 3.0)
-    frame = shoot(camera)
+    frame = grab(camera)
     assert (frame.exposure_us, frame.gain_db) == (1234.5, 3.0)
     in_register = tuple(process.register(registers.EXPOSURE_TIME + k) for k in (0, 4))
     assert in_register == registers.double_words(1234.5)
     camera.set_exposure(1e12, 999.0)
-    frame = shoot(camera)
+    frame = grab(camera)
     assert frame.exposure_us is not None
     assert frame.gain_db is not None
     assert 1e4 < frame.exposure_us < 1e9
@@ -177,7 +177,7 @@ def test_a_changed_exposure_is_in_the_cameras_own_registers(
 def test_without_a_configured_exposure_and_gain_they_are_5_ms_and_the_lowest(
     camera: Camera,
 ) -> None:
-    frame = shoot(camera)
+    frame = grab(camera)
     assert (frame.exposure_us, frame.gain_db) == (5000.0, 0.0)
 
 
@@ -217,10 +217,10 @@ def test_a_smaller_image_is_the_middle_of_the_sensor(
     with closing(kind.make(MAIN, settings(width_px=64, height_px=32), None)) as camera:
         camera.open()
         whole = read_pixels(images[0])
-        assert np.array_equal(shoot(camera).pixels, whole[16:48, 16:80])
+        assert np.array_equal(grab(camera).pixels, whole[16:48, 16:80])
     with closing(kind.make(MAIN, SETTINGS, None)) as camera:
         camera.open()  # the offsets left behind do not limit the size
-        assert np.array_equal(shoot(camera).pixels, read_pixels(images[1]))
+        assert np.array_equal(grab(camera).pixels, read_pixels(images[1]))
 
 
 @pytest.mark.parametrize("bits", [12])
@@ -229,7 +229,7 @@ def test_deeper_pixels_come_whole(kind: Kind, tmp_path: Path, bits: int) -> None
     with running(kind.process(ADDRESSES[0], MAIN, images)):
         with closing(kind.make(MAIN, settings(pixel_format=f"Mono{bits}"), None)) as camera:
             camera.open()
-            frame = shoot(camera)
+            frame = grab(camera)
         assert frame.bits == bits
         assert frame.pixels.dtype == np.uint16
         assert image_index(frame.pixels, images) == 0
@@ -241,7 +241,7 @@ def test_full_size_frames_are_exact(kind: Kind, tmp_path: Path) -> None:
     camera = kind.make(MAIN, whole, None)
     with running(kind.process(ADDRESSES[0], MAIN, images)), closing(camera):
         camera.open()
-        assert all(image_index(shoot(camera).pixels, images) is not None for _ in range(4))
+        assert all(image_index(grab(camera).pixels, images) is not None for _ in range(4))
 
 
 # --- faults of the link
@@ -250,7 +250,7 @@ def test_full_size_frames_are_exact(kind: Kind, tmp_path: Path) -> None:
 def test_a_frame_with_packets_missing_is_refused_and_the_next_one_taken(
     kind: Kind, camera: Camera, process: CameraProcess
 ) -> None:
-    shoot(camera)
+    grab(camera)
     process.command("lose 0.4")
     outcomes: list[DeviceError | None] = []
 
@@ -264,17 +264,17 @@ def test_a_frame_with_packets_missing_is_refused_and_the_next_one_taken(
     assert not any(isinstance(error, DeviceLostError) for error in outcomes)
     process.command("lose 0")
     for _ in range(10):  # more than there are buffers: each was put back
-        shoot(camera)
+        grab(camera)
 
 
 def test_a_late_frame_is_not_taken_for_the_next(
     camera: Camera, process: CameraProcess, images: list[Path]
 ) -> None:
-    shoot(camera)
+    grab(camera)
     process.command("late 2")
     with pytest.raises(FrameTimeoutError):
-        shoot(camera, timeout_s=0.2)
-    assert image_index(shoot(camera).pixels, images) == 2
+        grab(camera, timeout_s=0.2)
+    assert image_index(grab(camera).pixels, images) == 2
 
 
 def test_a_camera_that_falls_silent_is_given_up_and_comes_back(
@@ -283,27 +283,27 @@ def test_a_camera_that_falls_silent_is_given_up_and_comes_back(
     """Given up while it is silent still: it would be so for ever."""
     with closing(kind.make(MAIN, settings(command_timeout_s=4.0), "main")) as camera:
         camera.open()
-        shoot(camera)
+        grab(camera)
         process.freeze()
         with pytest.raises(DeviceLostError):
-            shoot(camera)
+            grab(camera)
         process.thaw()
         camera.open()
-        shoot(camera)
+        grab(camera)
 
 
 def test_a_camera_restarted_behind_our_back_is_noticed(
     camera: Camera, process: CameraProcess
 ) -> None:
     """It takes commands as if nothing had happened, but never answers a trigger."""
-    shoot(camera)
+    grab(camera)
     process.kill()
     process.start()
     outcomes = [outcome(camera, timeout_s=0.3) for _ in range(3)]
     assert any(isinstance(error, DeviceLostError) for error in outcomes)
     assert None not in outcomes
     camera.open()
-    shoot(camera)
+    grab(camera)
 
 
 def test_one_of_two_cameras_dies_and_comes_back_without_disturbing_the_other(
@@ -321,16 +321,16 @@ def test_one_of_two_cameras_dies_and_comes_back_without_disturbing_the_other(
     ):
         for camera in (main, sub):
             camera.open()
-            shoot(camera)
+            grab(camera)
         dying.kill()
         assert isinstance(outcome(main, 0.5), DeviceLostError)
-        taken = [shoot(sub)]
+        taken = [grab(sub)]
         with pytest.raises(DeviceLostError):
             main.open()
-        taken.append(shoot(sub))
+        taken.append(grab(sub))
         dying.start()
         main.open()
-        taken.append(shoot(sub))
-        assert image_index(shoot(main).pixels, images[MAIN]) == 0
+        taken.append(grab(sub))
+        assert image_index(grab(main).pixels, images[MAIN]) == 0
         assert [image_index(frame.pixels, images[SUB]) for frame in taken] == [1, 0, 1]
     assert len(other.frames) == 4  # not one more than was asked for

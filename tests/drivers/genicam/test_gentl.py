@@ -31,8 +31,8 @@ from tests.drivers.genicam.gige.bench import (
     SETTINGS,
     WIDTH_PX,
     gige_network,
+    grab,
     running,
-    shoot,
     write_images,
 )
 from tests.drivers.genicam.gige.kinds import Kind, kind_of
@@ -111,7 +111,7 @@ def test_its_cameras_are_found_by_serial() -> None:
 def test_a_camera_is_found_whatever_else_its_producer_lists(habit: str) -> None:
     with closing(GentlCamera(SERIAL, SETTINGS, producer(habit))) as camera:
         camera.open()
-        shoot(camera)
+        grab(camera)
 
 
 @pytest.mark.usefixtures("process")
@@ -134,7 +134,7 @@ def test_a_camera_that_another_program_has_is_in_use_however_often_it_is_listed(
         owner.open()
         with pytest.raises(DeviceLostError, match="in use by another program"):
             GentlCamera(SERIAL, SETTINGS, producer(habit)).open()
-        shoot(owner)
+        grab(owner)
 
 
 @pytest.mark.usefixtures("process")
@@ -244,12 +244,12 @@ def test_ctrl_c_and_systemds_stop_leave_the_camera_to_the_program(
 ) -> None:
     camera = kind.make(SERIAL, SETTINGS, None)
     camera.open()
-    shoot(camera)
+    grab(camera)
     (worker,) = _workers()
     assert os.getpgid(worker) != os.getpgid(0)  # a terminal's Ctrl-C does not come to it
     for number in (signal.SIGINT, signal.SIGTERM):
         os.kill(worker, number)
-    shoot(camera)
+    grab(camera)
     camera.close()
     assert not _workers()
 
@@ -281,7 +281,7 @@ def test_reconnects_leave_no_handle_and_no_process(kind: Kind, process: CameraPr
     handles = []
     for _ in range(4):
         camera.open()
-        shoot(camera)
+        grab(camera)
         camera.close()
         handles.append(len(list(Path("/proc/self/fd").iterdir())))
         assert not _workers()

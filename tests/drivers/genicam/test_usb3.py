@@ -25,10 +25,10 @@ from drivers.pair import SynchronizedPair
 from tests.drivers.genicam.gige.bench import (
     SETTINGS,
     gige_network,
+    grab,
     image_index,
     read_pixels,
     running,
-    shoot,
     write_images,
 )
 from tests.drivers.genicam.usb3.bench import SLOW_EVENTS, Usb3Process, require_bus
@@ -86,14 +86,14 @@ def test_no_frame_is_lost_when_a_buffer_returns_before_the_library_lets_go_of_it
     monkeypatch.setenv(SLOW_EVENTS, "1")
     with one_processor(), opened() as camera:
         for _ in range(100):
-            shoot(camera)
+            grab(camera)
 
 
 def test_nothing_runs_between_two_frames(tmp_path: Path) -> None:
     images = write_images(tmp_path, 1, seed=3, shape=(480, 640))
     camera = Usb3Process("1", MAIN, images)
     with running(camera), opened(width_px=640, height_px=480) as one:
-        shoot(one)
+        grab(one)
         before_s, end_s = time.process_time(), time.monotonic() + 2.0
         while time.monotonic() < end_s:
             time.sleep(0.1)
@@ -103,17 +103,17 @@ def test_nothing_runs_between_two_frames(tmp_path: Path) -> None:
 def test_a_frame_without_its_image_costs_no_other(process: Usb3Process, images: list[Path]) -> None:
     """It puts Aravis' stream out of step: what comes next is taken for what is missing."""
     with opened() as camera:
-        shoot(camera)
+        grab(camera)
         process.command("skip")
         with pytest.raises(DeviceError):
-            shoot(camera, timeout_s=0.3)
-        assert image_index(shoot(camera).pixels, images) == 2
+            grab(camera, timeout_s=0.3)
+        assert image_index(grab(camera).pixels, images) == 2
 
 
 def test_a_frame_sent_twice_is_taken_once(process: Usb3Process, images: list[Path]) -> None:
     process.command("fault duplicate")
     with opened() as camera:
-        shown = [image_index(shoot(camera).pixels, images)]
+        shown = [image_index(grab(camera).pixels, images)]
         for _ in range(2):  # not armed again, which would drop the second one unseen
             camera.trigger()
             shown.append(image_index(camera.fetch(PATIENCE_S).pixels, images))
@@ -128,7 +128,7 @@ def test_a_camera_is_found_by_the_number_on_its_label_and_by_the_one_that_usb_gi
 ) -> None:
     for serial in (MAIN, "00E94E90", "e94e90"):
         with opened(serial) as camera:
-            shoot(camera)
+            grab(camera)
 
 
 def test_both_spellings_stand_in_the_message(process: Usb3Process) -> None:
@@ -150,7 +150,7 @@ def test_a_number_is_preferred_to_another_that_only_reads_like_it() -> None:
 def test_chunk_data_left_on_by_another_program_are_switched_off(images: list[Path]) -> None:
     process = Usb3Process("1", MAIN, images, ["--left", f"{CHUNK_ACTIVE:x}=1"])
     with running(process), capture_logs() as logs, opened() as camera:
-        assert image_index(shoot(camera).pixels, images) == 0
+        assert image_index(grab(camera).pixels, images) == 0
         assert process.register(CHUNK_ACTIVE) == 0
     found = [log["found"] for log in logs if log["event"] == "camera_left_by_another"]
     assert [one["ChunkModeActive"] for one in found] == [True]
@@ -163,10 +163,10 @@ def test_a_camera_that_sends_the_high_byte_first_is_noticed_and_put_right(tmp_pa
     cv2.imwrite(str(images[0]), np.tile(columns, (64, 1)))
     process = Usb3Process("1", MAIN, images)
     with running(process), capture_logs() as logs, opened(pixel_format="Mono16") as camera:
-        assert np.array_equal(shoot(camera).pixels, read_pixels(images[0]))
+        assert np.array_equal(grab(camera).pixels, read_pixels(images[0]))
         process.command("fault swapped")
         for _ in range(2):
-            assert np.array_equal(shoot(camera).pixels, read_pixels(images[0]))
+            assert np.array_equal(grab(camera).pixels, read_pixels(images[0]))
     said = [log["high_byte_first"] for log in logs if log["event"] == "camera_byte_order"]
     assert said == [True]
 
@@ -192,10 +192,10 @@ def test_a_clock_that_goes_back_costs_no_frame_and_is_logged(
     process: Usb3Process, images: list[Path]
 ) -> None:
     with capture_logs() as logs, opened() as camera:
-        frame = shoot(camera)
-        wait_for(lambda: shoot(camera).camera_time_ns > 10**9, "a time of more than a second")
+        frame = grab(camera)
+        wait_for(lambda: grab(camera).camera_time_ns > 10**9, "a time of more than a second")
         process.command("fault clock-back")
-        again = shoot(camera)
+        again = grab(camera)
         assert again.camera_time_ns < 10**9
         assert again.frame_id > frame.frame_id
     assert [log["event"] for log in logs].count("camera_clock_went_back") == 1
@@ -250,4 +250,4 @@ def test_a_camera_in_use_says_so(process: Usb3Process, monkeypatch: pytest.Monke
     with opened() as first:
         with pytest.raises(DeviceLostError, match="in use by another program, which must be st"):
             AravisCamera(MAIN, SETTINGS).open()
-        shoot(first)
+        grab(first)

@@ -71,7 +71,7 @@ def read_pixels(path: Path) -> NDArray[Any]:
     return np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
 
 
-def shoot(camera: Camera, timeout_s: float = FRAME_TIMEOUT_S) -> CapturedFrame:
+def grab(camera: Camera, timeout_s: float = FRAME_TIMEOUT_S) -> CapturedFrame:
     camera.arm()
     camera.trigger()
     return camera.fetch(timeout_s)

@@ -63,7 +63,7 @@ class Silence(BaseModel):
         return is_on and (not self.names or name in self.names)
 
 
-class Orders(BaseModel):
+class OperatorActions(BaseModel):
     """All that people have said."""
 
     model_config = ConfigDict(frozen=True, strict=True)
@@ -84,9 +84,9 @@ class Orders(BaseModel):
         return max(found, key=lambda one: one.until_utc, default=None)
 
 
-def read_orders(state: Path) -> tuple[Orders, str | None]:
+def read_operator_actions(state: Path) -> tuple[OperatorActions, str | None]:
     """Give what was said, and what was wrong with the file: a broken one holds nothing."""
-    return read_kept(state, FILE_NAME, Orders)
+    return read_kept(state, FILE_NAME, OperatorActions)
 
 
 def acknowledge(state: Path, names: Sequence[str], by: str, note: str, now_utc: datetime) -> None:
@@ -98,12 +98,12 @@ def acknowledge(state: Path, names: Sequence[str], by: str, note: str, now_utc: 
             msg = f"{name!r} is not raised; raised now: {known}"
             raise UsageError(msg)
     with only_one(state, LOCK_NAME, wait=True):
-        orders, _ = read_orders(state)
-        acks = {n: a for n, a in orders.acks.items() if n in memory.raised}
+        actions, _ = read_operator_actions(state)
+        acks = {n: a for n, a in actions.acks.items() if n in memory.raised}
         for name in names:
             raised = memory.raised[name]
             acks[name] = Ack(id=raised.id, level=raised.level, at_utc=now_utc, by=by, note=note)
-        keep(state, FILE_NAME, orders.model_copy(update={"acks": acks}))
+        keep(state, FILE_NAME, actions.model_copy(update={"acks": acks}))
     for name in names:
         level = memory.raised[name].level
         note_history(state, Happened(now_utc, "acknowledged", name, level, note, by))
@@ -119,10 +119,10 @@ def silence(
     minutes = span.total_seconds() / 60
     added = Silence(names=tuple(names), from_utc=now_utc, minutes=minutes, by=by, note=note)
     with only_one(state, LOCK_NAME, wait=True):
-        orders, _ = read_orders(state)
-        current = [one for one in orders.silences if abs(now_utc - one.from_utc) < LONGEST_SILENCE]
+        actions, _ = read_operator_actions(state)
+        current = [one for one in actions.silences if abs(now_utc - one.from_utc) < LONGEST_SILENCE]
         current = [one for one in current if one.until_utc > now_utc]
-        keep(state, FILE_NAME, orders.model_copy(update={"silences": [*current, added]}))
+        keep(state, FILE_NAME, actions.model_copy(update={"silences": [*current, added]}))
     text = " ".join(
         filter(None, (f"until {utc_text(added.until_utc.replace(microsecond=0))}", note))
     )
@@ -134,10 +134,10 @@ def silence(
 def end_silence(state: Path, names: Sequence[str], by: str, now_utc: datetime) -> int:
     """End the silences of alarms, or all; gives how many there were. Raises OSError."""
     with only_one(state, LOCK_NAME, wait=True):
-        orders, _ = read_orders(state)
-        left = [one for one in orders.silences if names and not set(one.names) & set(names)]
-        keep(state, FILE_NAME, orders.model_copy(update={"silences": left}))
-    ended = len(orders.silences) - len(left)
+        actions, _ = read_operator_actions(state)
+        left = [one for one in actions.silences if names and not set(one.names) & set(names)]
+        keep(state, FILE_NAME, actions.model_copy(update={"silences": left}))
+    ended = len(actions.silences) - len(left)
     if ended:
         for name in names or ("all",):
             note_history(state, Happened(now_utc, "silence_ended", name, Level.OK, "", by))
