@@ -1,14 +1,16 @@
 """For all tests: numerics with one thread, as in our programs. Loaded before anything of numpy."""
 
+import fcntl
 import gc
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import pytest
 
 import daemon  # noqa: F401
@@ -34,6 +36,12 @@ priority._LOWEST = os.getpriority(os.PRIO_PROCESS, 0)
 
 # As in our programs: structlog's own way draws every local variable of a traceback.
 configure_log()
+
+# On a busy computer any example may take long, and the first few of them too.
+hypothesis.settings.register_profile(
+    "dcam", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
+hypothesis.settings.load_profile("dcam")
 
 TALLY = "tally"
 HERE = Path(__file__).parent
@@ -82,6 +90,17 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     if compiling is not None and compiling.poll() is None:
         os.killpg(compiling.pid, signal.SIGTERM)
         compiling.wait()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Let one process collect ahead of all others: it compiles the tests, which these then read."""
+    with Path(__file__).open() as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            fcntl.flock(lock, fcntl.LOCK_SH)
+        return (yield)
 
 
 def pytest_collection_finish() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from daemon.store.integrity.checksum import row_digest
@@ -37,13 +37,11 @@ def rows_of(columns: dict[str, list[Any]]) -> list[dict[str, Any]]:
 
 
 @given(tables())
-@settings(deadline=None)
 def test_digests_of_columns_are_those_of_the_rows(columns: dict[str, list[Any]]) -> None:
     assert row_digests("table", columns) == [row_digest("table", row) for row in rows_of(columns)]
 
 
 @given(tables(), st.data())
-@settings(deadline=None)
 def test_the_damaged_rows_are_found_and_no_others(
     columns: dict[str, list[Any]], data: st.DataObject
 ) -> None:

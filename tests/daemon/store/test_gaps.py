@@ -90,7 +90,7 @@ def accounts(path: Path, start: datetime) -> list[tuple[str, str]]:
     return sorted(rows)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(steps=STEPS)
 def test_every_slot_has_one_fate(store: Store, steps: list[tuple]) -> None:
     start = next(_STARTS)
@@ -99,7 +99,7 @@ def test_every_slot_has_one_fate(store: Store, steps: list[tuple]) -> None:
     assert accounts(store.path, start) == expected
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(steps=STEPS)
 def test_neighbours_of_one_cause_are_one_gap(store: Store, steps: list[tuple]) -> None:
     start = next(_STARTS)
@@ -112,7 +112,7 @@ def test_neighbours_of_one_cause_are_one_gap(store: Store, steps: list[tuple]) -
     ]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(steps=STEPS, since=NUMBERS, until=NUMBERS)
 def test_coverage_counts_each_slot_once(
     store: Store, steps: list[tuple], since: int, until: int
