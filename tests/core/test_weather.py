@@ -36,5 +36,6 @@ def test_clear_rows_are_good_on_good_and_poor_prints(
     printed: Callable[[float], Session], line_error_um: float
 ):
     """Nor is the calibrated board taken for another of the same drawing."""
-    rows = printed(line_error_um).rows(12, every_min=97.0)
-    assert [row.measurement.reasons for row in rows] == [()] * 12
+    count = 12 // one_of(2)
+    rows = printed(line_error_um).rows(count, every_min=97.0)
+    assert [row.measurement.reasons for row in rows] == [()] * count

@@ -17,7 +17,7 @@ QUARTER = 4.0
 """Of the pixels along each side."""
 
 
-@pytest.fixture(scope="module", params=["lab", "field"])
+@pytest.fixture(scope="module", params=["lab", "field"][:: one_of(2)])
 def pooled(request: pytest.FixtureRequest) -> tuple[Figures, Figures]:
     """Rows of sites of other lenses, boards and print errors of 10 um; and rows without noise."""
     case = Case(request.param, print_um=10.0, bow_um=60.0, shrink=QUARTER)

@@ -57,7 +57,7 @@ class Compared:
     quiet_rows: tuple[Row, ...]
 
 
-@pytest.fixture(scope="module", params=["lab", "field"])
+@pytest.fixture(scope="module", params=["lab", "field"][:: one_of(2)])
 def compared(request: pytest.FixtureRequest) -> list[Compared]:
     """Some sites."""
     case, found = made_sites.Case(request.param, shrink=4.0), []

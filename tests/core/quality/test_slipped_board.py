@@ -15,6 +15,7 @@ from core.quality.print_fingerprint import print_mismatch
 from core.results import Flag, Reason
 from tests.core.scenes import MINUTE, grey
 from tests.core.sessions import Session
+from tests.exhaustive import one_of
 
 
 @pytest.fixture(scope="module", params=[1.0, 4.0, 10.0], ids=lambda um: f"{um:g}um")
@@ -27,7 +28,7 @@ def sub_image(lab: Session, minute: int) -> GreyImage:
     return grey(lab.world, "sub", lab.world.settings.start_utc + minute * MINUTE)
 
 
-@pytest.mark.parametrize("squares", [(2, 0), (0, 2), (1, 1), (-2, 4)])
+@pytest.mark.parametrize("squares", [(2, 0), (0, 2), (1, 1), (-2, 4)][:: one_of(2)])
 def test_corners_named_a_period_off_lack_the_calibrated_print_errors(lab, squares):
     calibrated = lab.calibration.calibrated
     view = locate_board(
@@ -59,7 +60,7 @@ def test_corners_named_a_period_off_lack_the_calibrated_print_errors(lab, square
     )
 
 
-@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize("seed", [11, 12, 13][:: one_of(3)])
 def test_another_print_of_the_same_drawing_is_noticed(lab, seed):
     lab.world.replace_board(seed)
     try:
