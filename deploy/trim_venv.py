@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import gc
 import importlib
 import shutil
 import subprocess
@@ -130,6 +131,7 @@ def list_loaded() -> None:
     """Write LOADED: what importing all of that leaves in memory, and every module of ours."""
     warnings.simplefilter("ignore")
     sys.dont_write_bytecode = True
+    gc.disable()  # of all that is loaded nothing becomes garbage
     for name in [*dict.fromkeys(imports()), *LOADED_BY_NAME]:
         # Not a module but a name in one, or of a library that is not there: nothing to compile. A
         # module of ours then fails at once for the next that needs it; one ends its process.

@@ -7,6 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from tests.exhaustive import IS_ASKED
+from tests.shared import shared_directory
+
 ROOT = Path(__file__).parents[2]
 OFFLINE = {
     "WHEEL_FLAGS": "--no-build-isolation --no-index",
@@ -15,6 +20,18 @@ OFFLINE = {
     "MANUAL": "no",
     "COMPILE": "no",
 }
+
+
+def wheel(factory: pytest.TempPathFactory) -> str:
+    """Our wheel, built once as build-venv would for each environment."""
+
+    def fill(directory: Path) -> None:
+        command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir"]
+        flags = OFFLINE["WHEEL_FLAGS"].split()
+        subprocess.run([*command, directory, *flags, ROOT], check=True)
+
+    (built,) = shared_directory(factory, "wheel", fill).glob("dcam-*.whl")
+    return str(built)
 
 
 def deploy(script: str, *arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -33,9 +50,31 @@ def install(tree: Path, **environment: str) -> subprocess.CompletedProcess[str]:
 
 MANUAL = (
     "share/man/man5/dcam.toml.5.gz",
-    "share/man/man8/dcamd.8.gz",
+    *(f"share/man/man8/{service}.8.gz" for service in ("dcamd", "dcam-web")),
     *(f"share/man/man1/dcam-ctl{part}.1.gz" for part in ("", "-status", "-simulate-site")),
 )
+
+THINNED = """#!/bin/sh
+"{python}" "$@"
+cd "$3"
+for text in *.help; do
+  case " {pages} " in *" ${{text%.help}} "*) ;; *) rm "$text" ;; esac
+done
+"""
+
+
+def man_python(directory: Path) -> str:
+    """For MAN_PYTHON: one that writes the texts of MANUAL only, unless every page is asked for.
+
+    The pages are alike, and to make one and look at it takes a tenth of a second.
+    """
+    if IS_ASKED:
+        return sys.executable
+    pages = " ".join(Path(page).name.removesuffix(".gz") for page in MANUAL)
+    script = directory / "man-python"
+    script.write_text(THINNED.format(python=sys.executable, pages=pages))
+    script.chmod(0o755)
+    return str(script)
 
 
 def documents_of_units(tree: Path, units: str) -> list[Path]:

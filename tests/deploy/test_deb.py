@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.deploy.scripts import MANUAL, deploy, documents_of_units
+from tests.deploy.scripts import MANUAL, deploy, documents_of_units, man_python, wheel
 
 CONTACT = {"DEBFULLNAME": "A Builder", "DEBEMAIL": "builder@bridges.org"}
 needs_debian = pytest.mark.skipif(
@@ -26,7 +26,8 @@ needs_debian = pytest.mark.skipif(
 def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A Debian package; not to be changed."""
     directory = tmp_path_factory.mktemp("package")
-    done = deploy("make-deb", sys.executable, directory, MAN_PYTHON=sys.executable, **CONTACT)
+    ready = {"WHEEL": wheel(tmp_path_factory), "MAN_PYTHON": man_python(directory)}
+    done = deploy("make-deb", sys.executable, directory, **ready, **CONTACT)
     assert done.returncode == 0, done.stderr
     (package,) = directory.glob("dcam_*.deb")
     return package

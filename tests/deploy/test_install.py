@@ -16,34 +16,52 @@ import pytest
 
 from daemon.ctl import cli
 from daemon.error_report import run
-from tests.deploy.scripts import MANUAL, OFFLINE, ROOT, deploy, documents_of_units, install
+from tests.deploy.scripts import MANUAL, OFFLINE, ROOT, deploy, documents_of_units, install, wheel
 
 HELP2MAN = """#!/bin/sh
 for word; do
   case $word in --output=*) echo page > "${word#--output=}" ;; esac
 done
 """
-"""In the place of help2man, which takes long: what it writes, test_deb.py looks at."""
+MAN_PYTHON = """#!/bin/sh
+cd "$3"
+touch dcam.toml.5
+for page in dcamd.8 dcam-web.8 dcam-ctl.1 dcam-ctl-status.1 dcam-ctl-simulate-site.1; do
+  touch "$page.help" "$page.name"
+done
+"""
+"""In the place of what takes long to write the man pages: test_deb.py looks at true ones."""
 
 OWN_CONFIG = '[site]\nname = "ours"\n'
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def built(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return wheel(tmp_path_factory)
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory, built: str) -> Path:
     """A tree with one installation; not to be changed."""
     tree, programs = tmp_path_factory.mktemp("tree"), tmp_path_factory.mktemp("programs")
-    (programs / "help2man").write_text(HELP2MAN)
-    (programs / "help2man").chmod(0o755)
-    path = f"{programs}:{os.environ['PATH']}"
-    done = install(tree, MANUAL="yes", COMPILE="yes", MAN_PYTHON=sys.executable, PATH=path)
+    for name, script in (("help2man", HELP2MAN), ("man-python", MAN_PYTHON)):
+        (programs / name).write_text(script)
+        (programs / name).chmod(0o755)
+    path, man_python = f"{programs}:{os.environ['PATH']}", f"{programs}/man-python"
+    done = install(tree, WHEEL=built, MANUAL="yes", COMPILE="yes", MAN_PYTHON=man_python, PATH=path)
     assert done.returncode == 0, done.stderr
     return tree
 
 
 @pytest.fixture
 def tree(installed: Path, tmp_path: Path) -> Path:
-    """A copy of it."""
-    return Path(shutil.copytree(installed, tmp_path / "tree", symlinks=True))
+    """A copy of it; nobody writes into a file of a release, so those are the same ones."""
+    releases = installed / "opt/dcam/releases"
+
+    def put(source: str, target: str) -> None:
+        (os.link if Path(source).is_relative_to(releases) else shutil.copy2)(source, target)
+
+    return Path(shutil.copytree(installed, tmp_path / "tree", symlinks=True, copy_function=put))
 
 
 def release(tree: Path) -> str:
@@ -115,14 +133,14 @@ def test_first_config_is_refused_until_it_is_the_sites_own(
     assert "camera.main.serial: not set" in capfd.readouterr().out
 
 
-def test_upgrade_keeps_config_and_data_and_the_release_before(tree: Path) -> None:
+def test_upgrade_keeps_config_and_data_and_the_release_before(tree: Path, built: str) -> None:
     config, data = tree / "etc/dcam/dcam.toml", tree / "var/lib/dcam/dcam.db"
     config.write_text(OWN_CONFIG)
     data.parent.mkdir(parents=True)
     data.write_bytes(b"rows")
     before = release(tree)
 
-    done = install(tree)
+    done = install(tree, WHEEL=built)
 
     assert done.returncode == 0, done.stderr
     assert release(tree) != before
@@ -140,10 +158,12 @@ def test_upgrade_keeps_config_and_data_and_the_release_before(tree: Path) -> Non
 
 
 @pytest.mark.parametrize("broken", [{"PIP_FLAGS": "--no-such-flag"}, {"PYTHON": "/bin/false"}])
-def test_a_step_that_fails_leaves_the_old_installation(tree: Path, broken: dict[str, str]) -> None:
+def test_a_step_that_fails_leaves_the_old_installation(
+    tree: Path, built: str, broken: dict[str, str]
+) -> None:
     before = release(tree)
 
-    done = install(tree, **broken)
+    done = install(tree, WHEEL=built, **broken)
 
     assert done.returncode != 0
     assert "what was there is as it was" in done.stderr

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shutil
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterable
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from pathlib import Path
 
@@ -83,10 +85,23 @@ def needed() -> list[Distribution]:
     return list(found.values())
 
 
-def copy(files: list[Path], source: Path, site: Path) -> None:
-    for file in files:
-        target = site / file.relative_to(source)
-        target.parent.mkdir(parents=True, exist_ok=True)
+def copy(names: Iterable[str], source: Path, site: Path) -> None:
+    """Put files below another directory; those that are not there, or lie elsewhere, stay away.
+
+    Only libraries are written to: of all others the same file is named once more, where it can be.
+    """
+    made = set()
+    for name in names:
+        file, target = source / name, site / name
+        if ".." in file.parts or not file.is_file():
+            continue
+        if target.parent not in made:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            made.add(target.parent)
+        if ".so" not in file.name:
+            with contextlib.suppress(OSError):
+                target.hardlink_to(file)
+                continue
         shutil.copy2(file, target)
 
 
@@ -101,23 +116,12 @@ def trimmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         )
         (site,) = directory.glob("lib/python*/site-packages")
         for each in needed():
-            source = Path(str(each.locate_file("")))
-            files = [source / str(file) for file in each.files or []]
-            copy(
-                [file for file in files if file.is_file() and ".." not in file.parts], source, site
-            )
+            copy(map(str, each.files or []), Path(str(each.locate_file(""))), site)
         own = distribution("dcam")
-        copy(
-            [
-                Path(str(own.locate_file(file)))
-                for file in own.files or []
-                if "dist-info" in str(file)
-            ],
-            Path(str(own.locate_file(""))),
-            site,
-        )
+        known = [str(file) for file in own.files or [] if "dist-info" in str(file)]
+        copy(known, Path(str(own.locate_file(""))), site)
         for ours in ("core", "drivers", "daemon", "migrations"):
-            copy([file for file in (ROOT / ours).rglob("*") if file.is_file()], ROOT, site)
+            copy([str(file.relative_to(ROOT)) for file in (ROOT / ours).rglob("*")], ROOT, site)
         subprocess.run(
             [directory / "bin/python3", ROOT / "deploy/trim_venv.py", "--libraries"], check=True
         )
