@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -12,11 +13,14 @@ import cv2  # isort: skip
 import daemon.commands.capture
 import daemon.commands.check
 import daemon.commands.status_here  # noqa: F401
+import drivers.genicam.session  # noqa: F401
 from core.measurement import look_at_pair
 from daemon.control.control_socket import control_socket  # noqa: F401
 from daemon.slots.identity import made_by
 from daemon.slots.service import Service  # noqa: F401
 from daemon.store.opening import open_checked_store
+from drivers.errors import MissingLibraryError
+from drivers.genicam.gentl_device import load_harvesters
 from drivers.sim.settings import SimSettings
 from drivers.sim.world import World
 from tests.core.scenes import grey, small_site
@@ -37,6 +41,8 @@ def look_once() -> None:
 
 look_once()
 made_by()
+with suppress(MissingLibraryError):
+    load_harvesters()
 with TemporaryDirectory() as directory:
     open_checked_store(Path(directory)).close()
 gc.collect()

@@ -7,6 +7,7 @@ Tests of the start itself (what is loaded, options of Python, another user, stra
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import multiprocessing
 import os
 import runpy
@@ -51,24 +52,27 @@ class Program:
         stdout: Stream = None,
         stderr: Stream = None,
         stopped: bool = False,
+        kept: Sequence[int] = (),
     ) -> None:
         """Start it as `python -m MODULE ARGUMENTS` would be; a path as `python PATH ARGUMENTS`.
 
-        One that is stopped begins when it gets SIGCONT: until then a tracer can attach.
+        One that is stopped begins when it gets SIGCONT: until then a tracer can attach. Open files
+        that are kept have the same numbers in it.
         """
         self.args = [str(module), *map(str, arguments)]
         self.stdin, its_in = _pipe_to() if stdin == PIPE else (None, stdin)
         self.stdout, its_out = _pipe_from(stdout)
         self.stderr, its_err = _pipe_from(stderr)
         streams = (its_in, its_out, its_err)
+        files = dict(enumerate(streams)) | {n: Connection(os.dup(n)) for n in kept}
         network = Path(f"/proc/{os.getpid()}/task/{threading.get_native_id()}/ns/net")
         self._process = _server().Process(
             target=_be,
-            args=(self.args, dict(os.environ if env is None else env), streams, network, stopped),
+            args=(self.args, dict(os.environ if env is None else env), files, network, stopped),
             daemon=True,  # none outlives the tests
         )
         self._process.start()
-        for end in streams:
+        for end in files.values():
             if isinstance(end, Connection):
                 end.close()
         if stopped:
@@ -145,12 +149,18 @@ def ran(
 class Forked:
     """Stands in for `subprocess` in what starts our programs as `python -m MODULE ARGUMENTS`."""
 
-    PIPE = PIPE
+    PIPE, DEVNULL, TimeoutExpired = PIPE, None, subprocess.TimeoutExpired
 
     @staticmethod
-    def Popen(command: Sequence[object], **options: object) -> Program:
+    def Popen(
+        command: Sequence[object],
+        *,
+        stderr: Stream = None,
+        pass_fds: Sequence[int] = (),
+        **_: object,
+    ) -> Program:
         _python, _m, module, *arguments = command
-        return Program(str(module), *arguments, stderr=PIPE if "stderr" in options else None)
+        return Program(str(module), *arguments, stderr=stderr, kept=pass_fds)
 
     @staticmethod
     def run(command: Sequence[object], **_: object) -> subprocess.CompletedProcess[str]:
@@ -215,7 +225,7 @@ def _pipe_from(stream: Stream) -> tuple[TextIO | None, Path | Connection | None]
 def _be(
     words: list[str],
     environment: dict[str, str],
-    streams: tuple[Path | Connection | None, ...],
+    files: Mapping[int, Path | Connection | None],
     network: Path,
     stopped: bool,
 ) -> None:
@@ -223,12 +233,9 @@ def _be(
     if network.readlink() != Path("/proc/self/ns/net").readlink():
         with network.open() as namespace:
             assert ctypes.CDLL(None).setns(namespace.fileno(), 0) == 0
-    for number, stream in enumerate(streams):
-        if isinstance(stream, Connection):
-            os.dup2(stream.fileno(), number)
-            stream.close()
-            continue
-        place = os.open(stream or os.devnull, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+    least = 1 + max(files)  # out of the way of every number that is wanted
+    places = {number: _opened(stream, least) for number, stream in files.items()}
+    for number, place in places.items():
         os.dup2(place, number)
         os.close(place)
     sys.stdin = open(0, closefd=False)  # noqa: SIM115 - as Python itself opens them
@@ -245,3 +252,15 @@ def _be(
         runpy.run_path(words[0], run_name="__main__")
     else:
         runpy.run_module(words[0], run_name="__main__", alter_sys=True)
+
+
+def _opened(stream: Path | Connection | None, least: int) -> int:
+    """The number of the open stream, not below the least."""
+    if isinstance(stream, Connection):
+        place = os.dup(stream.fileno())
+        stream.close()
+    else:
+        place = os.open(stream or os.devnull, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+    above = fcntl.fcntl(place, fcntl.F_DUPFD, least)
+    os.close(place)
+    return above

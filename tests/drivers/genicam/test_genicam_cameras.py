@@ -43,6 +43,8 @@ from tests.drivers.genicam.gige.loopback import ADDRESSES, THIRD_ADDRESS
 from tests.drivers.genicam.gige.process import REPOSITORY, CameraProcess
 from tests.waiting import wait_for
 
+pytestmark = pytest.mark.usefixtures("forked_workers")
+
 MAIN, SUB, STANDING = "15290000", "15290001", "15290002"
 
 

@@ -13,13 +13,28 @@ from drivers.clock import SystemClock
 from drivers.errors import FrameTimeoutError
 from drivers.pair import SynchronizedPair
 from drivers.protocols import LineOut, TriggerIn
-from tests.drivers.genicam.gige.bench import SETTINGS, image_index, running
+from tests.drivers.genicam.gige.bench import (
+    QUIET,
+    QUIET_HEIGHT_PX,
+    QUIET_WIDTH_PX,
+    image_index,
+    running,
+    write_images,
+)
 from tests.drivers.genicam.gige.kinds import Kind
 from tests.drivers.genicam.gige.loopback import ADDRESSES
 from tests.drivers.genicam.gige.process import CameraProcess
 from tests.waiting import PATIENCE_S
 
+pytestmark = pytest.mark.usefixtures("forked_workers")
+
 MAIN, SUB = "15290000", "15290001"
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("images")
+    return write_images(folder, 3, seed=2, shape=(QUIET_HEIGHT_PX, QUIET_WIDTH_PX))
 
 
 @pytest.fixture
@@ -36,8 +51,8 @@ def wired(kind: Kind, images: list[Path]) -> Iterator[tuple[CameraProcess, Camer
 @pytest.fixture
 def pair(kind: Kind, wired: tuple[CameraProcess, CameraProcess]) -> Iterator[SynchronizedPair]:
     cameras = (
-        kind.make(MAIN, replace(SETTINGS, line_out=LineOut("Line2")), "main"),
-        kind.make(SUB, replace(SETTINGS, trigger=TriggerIn("Line3")), "sub"),
+        kind.make(MAIN, replace(QUIET, line_out=LineOut("Line2")), "main"),
+        kind.make(SUB, replace(QUIET, trigger=TriggerIn("Line3")), "sub"),
     )
     opened = SynchronizedPair(
         *cameras,

@@ -23,6 +23,9 @@ from drivers.genicam.byte_order import is_swapped
 from drivers.genicam.serial_number import is_same_serial, places_of
 from drivers.pair import SynchronizedPair
 from tests.drivers.genicam.gige.bench import (
+    QUIET,
+    QUIET_HEIGHT_PX,
+    QUIET_WIDTH_PX,
     SETTINGS,
     gige_network,
     grab,
@@ -204,9 +207,10 @@ def test_a_clock_that_goes_back_costs_no_frame_and_is_logged(
 # --- between two pairs
 
 
-def test_a_camera_gone_for_a_moment_between_two_pairs_costs_neither(images: list[Path]) -> None:
+def test_a_camera_gone_for_a_moment_between_two_pairs_costs_neither(tmp_path: Path) -> None:
+    images = write_images(tmp_path, 3, seed=2, shape=(QUIET_HEIGHT_PX, QUIET_WIDTH_PX))
     main, sub = Usb3Process("1", MAIN, images), Usb3Process("2", SUB, images)
-    cameras = [AravisCamera(MAIN, SETTINGS, "main"), AravisCamera(SUB, SETTINGS, "sub")]
+    cameras = [AravisCamera(MAIN, QUIET, "main"), AravisCamera(SUB, QUIET, "sub")]
     pair = SynchronizedPair(*cameras, SystemClock(), open_timeout_s=PATIENCE_S, grace_s=PATIENCE_S)
     with running(main, sub), closing(pair):
         pair.capture(SystemClock().now_utc())

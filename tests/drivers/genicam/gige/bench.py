@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,6 +32,10 @@ SETTINGS = CameraSettings(
     close_timeout_s=CLOSE_TIMEOUT_S,
 )
 """For cameras that answer: however busy the machine, no deadline passes that matters."""
+QUIET_WIDTH_PX, QUIET_HEIGHT_PX = 448, 304
+"""With images not smaller than this Aravis has buffers enough on USB; with fewer it looks for one
+without a pause, and to wait costs a processor: see `aravis_device.buffers_for`."""
+QUIET = dataclasses.replace(SETTINGS, width_px=QUIET_WIDTH_PX, height_px=QUIET_HEIGHT_PX)
 FRAME_TIMEOUT_S = 30.0
 """To wait for a frame that comes."""
 

@@ -74,7 +74,7 @@ class FakeCamera:
             options.address, options.serial, str(options.xml) if options.xml else None
         )
         self._camera = self.device.get_fake_camera()
-        self._camera.set_trigger_frequency(500.0)  # how often it looks for a trigger
+        self._camera.set_trigger_frequency(100.0)  # how often it looks for a trigger
         self._power_up(*self._images[0][1].shape)
         self._library = _library()
         self._callback = FILL_PATTERN(self._fill)  # kept: C code holds only the address
