@@ -11,9 +11,20 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
+from weakref import WeakKeyDictionary
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Locator, Page, Playwright, expect
+from playwright.sync_api import (
+    Browser,
+    BrowserContext,
+    ConsoleMessage,
+    Error,
+    Locator,
+    Page,
+    Playwright,
+    Request,
+    expect,
+)
 
 from benchmarks.page_record import MINUTE
 from daemon.times import slot_text
@@ -87,6 +98,7 @@ class Visit:
     context: BrowserContext
     page: Page
     complaints: list[str] = field(default_factory=list)
+    shown: int = 0
 
     def go(self, path: str) -> None:
         """Open a page and wait until every part of it has its content."""
@@ -101,8 +113,8 @@ class Visit:
 
     def show(self, since: str, until: str) -> None:
         """The overview with its figures over a span."""
-        self.page.goto("about:blank")  # the same page with another hash would not be loaded again
-        self.go(f"/#since={since}&until={until}")
+        self.shown += 1  # the same page with nothing new but its hash would not be loaded again
+        self.go(f"/?{self.shown}#since={since}&until={until}")
 
     def span(self) -> tuple[str, str]:
         """What the figures show, from and to, once they have settled there."""
@@ -135,26 +147,64 @@ class Visit:
         ]
 
 
+IDLE = "/static/strings/en.json"
+"""A page that does nothing: there a window waits for the next visit."""
+_idle: WeakKeyDictionary[Browser, list[tuple[dict[str, Any], Page]]] = WeakKeyDictionary()
+"""Windows that no visit uses, with their options: to open one costs as much as to load a page."""
+
+
 @contextmanager
 def visiting(browser: Browser, url: str, **options: Any) -> Iterator[Visit]:
-    """A fresh window whose complaints, failures and requests elsewhere are collected."""
-    context = browser.new_context(**options)
-    context.set_default_timeout(PATIENCE_MS)
-    page = context.new_page()
-    visit = Visit(url, context, page)
+    """A window as if new, whose complaints, failures and requests elsewhere are collected."""
+    page = _window(browser, options)
+    visit, size = Visit(url, page.context, page), page.viewport_size
 
-    def requested(address: str) -> None:
+    def requested(request: Request) -> None:
+        address = request.url
         if urlsplit(address).scheme not in {"data", "blob"} and not address.startswith(url + "/"):
             visit.complaints.append(f"asked elsewhere: {address}")
 
-    def said(kind: str, text: str) -> None:
-        if kind in {"error", "warning"}:
-            visit.complaints.append(f"{kind}: {text}")
+    def said(message: ConsoleMessage) -> None:
+        if message.type in {"error", "warning"}:
+            visit.complaints.append(f"{message.type}: {message.text}")
 
-    page.on("request", lambda request: requested(request.url))
-    page.on("console", lambda message: said(message.type, message.text))
-    page.on("pageerror", lambda error: said("error", str(error)))
+    def failed(error: Error) -> None:
+        visit.complaints.append(f"error: {error}")
+
+    page.on("request", requested)
+    page.on("console", said)
+    page.on("pageerror", failed)
     try:
         yield visit
-    finally:
-        context.close()
+    except BaseException:
+        page.context.close()  # in whatever state it is
+        raise
+    page.remove_listener("request", requested)
+    page.remove_listener("console", said)
+    page.remove_listener("pageerror", failed)
+    _clear(visit)
+    if size is not None:
+        page.set_viewport_size(size)
+    _idle.setdefault(browser, []).append((options, page))
+
+
+def _window(browser: Browser, options: dict[str, Any]) -> Page:
+    """One that waits, if there is one with these options; else a new one."""
+    waiting = _idle.get(browser, [])
+    for number, (others, page) in enumerate(waiting):
+        if others == options:
+            del waiting[number]
+            return page
+    context = browser.new_context(**options)
+    context.set_default_timeout(PATIENCE_MS)
+    return context.new_page()
+
+
+def _clear(visit: Visit) -> None:
+    """Have the window forget what it was used for."""
+    page, context = visit.page, visit.context
+    page.unroute_all(behavior="wait")
+    page.mouse.move(0, 0)
+    page.goto(visit.url + IDLE)
+    page.evaluate("localStorage.clear()")
+    context.clear_cookies()
