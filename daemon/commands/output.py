@@ -52,9 +52,12 @@ def _readable(text: str) -> str:
     return visible(in_zone(text, shown_zone()))
 
 
-def say(text: str = "") -> None:
-    """Print a line of data; times in the zone of `--tz`."""
-    print(_readable(text))
+def say(text: str = "", *, now: bool = False) -> None:
+    """Print a line of data; times in the zone of `--tz`.
+
+    Now: a pipe, too, has it at once, as a command that goes on for long wants it.
+    """
+    print(_readable(text), flush=now)
 
 
 def page_columns() -> int:

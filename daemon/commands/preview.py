@@ -83,8 +83,8 @@ def command(options: Options, port: int, interval_s: float, looks: int | None) -
                     loop.follow(source, [pair])
             except DeviceError as error:
                 shown.tell(str(error))
-                say(f"no pair: {error}")
+                say(f"no pair: {error}", now=True)
             else:
                 shown.show(look)
-                say(line(look))
+                say(line(look), now=True)
             clock.pause(interval_s)

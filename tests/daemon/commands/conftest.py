@@ -30,6 +30,7 @@ from daemon.store.records import (
 )
 from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
 from drivers.sim.settings import SimPlate, SimSettings
+from tests.daemon.rows import add_rows
 from tests.laboratory import laboratory
 from tests.shared import new_state, shared_directory
 
@@ -215,17 +216,16 @@ class Site:
     ) -> None:
         """Add a row a minute; without a frame where the disk had no room for it."""
         hash_ = load_config(self.config).config_hash()
+        slots = [self.end + number * MINUTE for number in range(minutes)]
+        self.end += minutes * MINUTE
+        rows = [
+            MeasurementRecord(
+                *(slot, measurement, hash_, "1.0"), main_frame=frame, sub_frame=frame, **more
+            )
+            for slot in slots
+        ]
         with open_store(self.state) as store:
-            for _ in range(minutes):
-                store.add_measurement(
-                    MeasurementRecord(
-                        *(self.end, measurement, hash_, "1.0"),
-                        main_frame=frame,
-                        sub_frame=frame,
-                        **more,
-                    )
-                )
-                self.end += MINUTE
+            add_rows(store, rows)
 
     def miss(self, minutes: int, cause: GapCause) -> None:
         """Add a gap."""

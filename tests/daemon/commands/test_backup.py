@@ -12,6 +12,7 @@ import pytest
 
 from daemon.store.database import Store, open_store, open_store_readonly
 from tests.daemon.commands.conftest import Ctl
+from tests.daemon.rows import add_rows
 from tests.daemon.store.examples import calibration, full_record, record, slot
 
 ROOT = Path(__file__).parents[3]
@@ -23,8 +24,7 @@ def running(tmp_path: Path) -> Iterator[Store]:
     """A database that a daemon has open, with rows still in the log."""
     with open_store(tmp_path / "state") as store:
         store.add_calibration(calibration(), activate=True)
-        for number in range(ROWS):
-            store.add_measurement(full_record(slot(number), calibration_id=1))
+        add_rows(store, [full_record(slot(number), calibration_id=1) for number in range(ROWS)])
         yield store
 
 

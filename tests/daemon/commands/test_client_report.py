@@ -213,15 +213,14 @@ def test_a_span_without_rows_and_one_with_a_single_row_are_reported(
     site.measure(rows)
     with open_store(site.state) as store:
         store.record_gap(slot(10), slot(14), GapCause.POWER_LOSS, "<the plug>", period_s=60)
-    page, pdf = tmp_path / "a.html", tmp_path / "a.pdf"
-    ran = site.ctl("report", "--output", page, "--output", pdf)
+    pdf = tmp_path / "a.pdf"
+    ran = site.ctl("report", "--output", pdf)
     assert ran.code == 0, ran.err
     text, _ = text_of(pdf)
     assert "power_loss" in text
     assert "<the plug>" in text
     said = "the row names no calibration" if rows else "the span has no good row"
     assert f"No budget: {said}" in text
-    assert f"No budget: {said}" in page.read_text(encoding="utf-8")
 
 
 def test_the_alarms_of_the_span_are_told(site: Site, tmp_path: Path) -> None:
@@ -276,7 +275,9 @@ def test_a_month_is_written_once_and_old_ones_go(
     )
     directory = site.state / "reports"
     directory.mkdir()
-    for name in ("2025-11.html", "2025-11.pdf", "2026-02.pdf", "2026-01.html", "notes.txt"):
+    # Of the month itself one is there: a power cut came between the two, and both are written.
+    of_before = ("2025-11.html", "2025-11.pdf", "2026-02.pdf", "2026-01.html", "2026-03.pdf")
+    for name in (*of_before, "notes.txt"):
         (directory / name).write_text("of before")
     monkeypatch.setattr("daemon.reports.monthly.datetime", April)
     ran = site.ctl("report", "--monthly")
@@ -291,9 +292,6 @@ def test_a_month_is_written_once_and_old_ones_go(
     assert again.code == 0
     assert "2026-03 is written" in again.err
     assert (page.stat().st_mtime_ns, pdf.stat().st_mtime_ns) == before
-    page.unlink()  # a power cut between the two: both are written again
-    assert site.ctl("report", "--monthly").code == 0
-    assert page.exists()
 
 
 def test_a_month_is_written_though_its_reference_cannot_be_read(
@@ -308,10 +306,9 @@ def test_a_month_is_written_though_its_reference_cannot_be_read(
     assert "survey.csv: No such file" in ran.err
     page = site.state / "reports" / "2026-03.html"
     assert "Comparison with a reference" not in page.read_text(encoding="utf-8")
-    page.unlink()
     survey = "time,y_mm,sigma_mm\n2026-02-01T00:00:00Z,1,1\n"
     (site.config.parent / "survey.csv").write_text(survey)
-    assert site.ctl("report", "--monthly").code == 0
+    assert site.ctl("report", "--output", page).code == 0
     assert "No time of the reference lies in this span." in page.read_text(encoding="utf-8")
 
 

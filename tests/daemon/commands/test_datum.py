@@ -18,6 +18,7 @@ from daemon.store.database import open_store
 from daemon.store.records import DatumMethod, DatumStep, Reading
 from daemon.store.rows.circumstances import KEY, Circumstances, circumstances_of
 from tests.daemon.commands.conftest import Ctl, Ran, Site, edit_table
+from tests.daemon.rows import add_rows
 from tests.daemon.store.examples import calibration, datum, record
 
 LATER = timedelta(days=1)
@@ -240,11 +241,13 @@ def test_frames_of_another_camera_join_nothing_but_rows_on_both_sides_do(chain: 
             link = replace(datum(0.0, 2.0, 9.0), reference_utc=reference_utc)
             steps = (DatumStep(DatumMethod.ROWS, 2, link.offset),) if number == 3 else link.steps
             store.add_calibration(made, replace(link, steps=steps), activate=True)
-            for k in range(200):
-                mm = np.zeros(2) if number == 2 else -moved_mm
-                seen = Measurement(Flag.GOOD, (), Displacement(mm, noise_mm2), None, None)
-                slot_utc = reference_utc + timedelta(minutes=10 * (k + 1))
-                store.add_measurement(replace(record(slot_utc, seen), calibration_id=number))
+            mm = np.zeros(2) if number == 2 else -moved_mm
+            seen = Measurement(Flag.GOOD, (), Displacement(mm, noise_mm2), None, None)
+            slots_utc = [reference_utc + timedelta(minutes=10 * k) for k in range(1, 201)]
+            rows = [
+                replace(record(slot_utc, seen), calibration_id=number) for slot_utc in slots_utc
+            ]
+            add_rows(store, rows)
     ran = chain.ctl("datum", "adjust", "--from", chain.later)
     assert ran.code == 0, ran.err
     assert "the main camera is another one, serial 300 after 200" in ran.err

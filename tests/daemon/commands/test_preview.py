@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import select
 import signal
 import urllib.error
 import urllib.request
@@ -22,9 +23,12 @@ from tests.waiting import PATIENCE_S
 
 @pytest.fixture
 def preview(tmp_path: Path):
-    """A running preview: its address, and the process."""
+    """A running preview that looks once a minute: its address, and the process."""
     (tmp_path / "dcam.toml").write_text(SIMULATED, encoding="utf-8")
-    words = ("preview", "--port", 0, "--config", tmp_path / "dcam.toml", "--state", tmp_path / "s")
+    words = (
+        *("preview", "--port", 0, "--interval", 60),
+        *("--config", tmp_path / "dcam.toml", "--state", tmp_path / "s"),
+    )
     with Program("daemon.ctl", *words, stdout=PIPE, stderr=PIPE) as process:
         reported = process.stderr.readline()
         address = reported[reported.index("http") :].split()[0]
@@ -40,6 +44,8 @@ def fetch(url: str, host: str | None = None) -> bytes:
 
 def test_preview_shows_both_cameras_and_ends_with_ctrl_c(preview) -> None:
     address, process = preview
+    told, _, _ = select.select([process.stdout], [], [], PATIENCE_S)
+    assert told, "a look is told at once, on a pipe too"
     line = process.stdout.readline()
     assert "main: 5 of 5 discs found" in line
     assert "corners in view found" in line
@@ -61,8 +67,7 @@ def test_preview_shows_both_cameras_and_ends_with_ctrl_c(preview) -> None:
 
 
 def test_preview_answers_only_this_machine_and_only_what_it_has(preview) -> None:
-    address, process = preview
-    process.stdout.readline()
+    address, _ = preview
     with pytest.raises(urllib.error.HTTPError, match="403"):
         fetch(address, host="bridge.example:80")
     with pytest.raises(urllib.error.HTTPError, match="404"):

@@ -32,6 +32,7 @@ from drivers.frameset import read_frame_set, read_image
 from drivers.protocols import CapturedPair
 from tests.daemon.commands.conftest import GOOD, Ctl, Ran
 from tests.daemon.conftest import ScriptedSource, Station, SteppedClock
+from tests.daemon.rows import add_rows
 
 REFERENCE = datetime(2026, 4, 1, tzinfo=UTC)
 LATER = REFERENCE + timedelta(days=20, hours=1)
@@ -84,20 +85,22 @@ class Watched:
         """A row an hour, the rig turning by so much for each kelvin, and creeping."""
         rng = np.random.default_rng(1)
         walk_urad = self.walk_urad
-        with open_store(self.state) as store:
-            for hour in range(1, 24 * days):
-                slot = REFERENCE + timedelta(hours=hour)
-                warmth_k = swing_k * math.sin(2.0 * math.pi * hour / 24.0) + rise_k * hour
-                walk_urad += rng.normal(0.0, 0.2, 2)
-                urad = np.multiply(C_URAD_PER_K, warmth_k) + walk_urad + rng.normal(0.0, 0.1, 2)
-                camera = CameraState(temperature_c=12.0 + warmth_k if celsius else None)
-                store.add_measurement(
-                    MeasurementRecord(
-                        *(slot, seen(1e-6 * DISTANCE_MM * urad), "hash", "1.0"),
-                        main_camera=camera,
-                        calibration_id=self.number,
-                    )
+        rows = []
+        for hour in range(1, 24 * days):
+            slot = REFERENCE + timedelta(hours=hour)
+            warmth_k = swing_k * math.sin(2.0 * math.pi * hour / 24.0) + rise_k * hour
+            walk_urad += rng.normal(0.0, 0.2, 2)
+            urad = np.multiply(C_URAD_PER_K, warmth_k) + walk_urad + rng.normal(0.0, 0.1, 2)
+            camera = CameraState(temperature_c=12.0 + warmth_k if celsius else None)
+            rows.append(
+                MeasurementRecord(
+                    *(slot, seen(1e-6 * DISTANCE_MM * urad), "hash", "1.0"),
+                    main_camera=camera,
+                    calibration_id=self.number,
                 )
+            )
+        with open_store(self.state) as store:
+            add_rows(store, rows)
 
     def ctl(self, *arguments: object) -> Ran:
         return self.any_ctl("--config", self.config, "--state", self.state, "stability", *arguments)

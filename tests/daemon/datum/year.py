@@ -22,7 +22,7 @@ CALIBRATIONS = 5
 BONDED_AGAIN = frozenset({4, 5})
 """Calibrations before which the board was taken off the pier."""
 APART = timedelta(days=73)
-LENS_VIEWS, RIG_VIEWS, ROWS = 8, 10, 2
+LENS_VIEWS, RIG_VIEWS, ROWS = 6, 8, 2
 MINUTE = timedelta(minutes=1)
 YEAR_MIN = 525_600.0
 FIXED_PLATE = """
