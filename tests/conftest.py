@@ -16,7 +16,7 @@ import pytest
 import daemon  # noqa: F401
 from daemon.commands import priority
 from daemon.log import configure_log
-from tests import compiled_sql
+from tests import compiled_sql, made_database
 from tests.drivers.genicam.usb3 import bench
 
 bench.load()  # ahead of Aravis, whichever test loads that
@@ -30,6 +30,7 @@ sys.dont_write_bytecode = False
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 compiled_sql.share()
+made_database.share()
 
 # A command at the lowest priority would wait until all other tests have ended.
 priority._LOWEST = os.getpriority(os.PRIO_PROCESS, 0)

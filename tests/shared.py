@@ -6,14 +6,9 @@ import fcntl
 import os
 import shutil
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import pytest
-
-from daemon.store.database import open_store
-from daemon.store.sqlite import FILE_NAME
 
 
 def shared_directory(
@@ -32,22 +27,3 @@ def shared_directory(
             fill(directory)
             done.touch()
     return directory
-
-
-def new_state(directory: Path) -> Path:
-    """A state directory with an empty database, whose tables are made once in a process."""
-    database = directory / FILE_NAME
-    directory.mkdir()
-    content, mode = empty_database()
-    database.write_bytes(content)
-    database.chmod(mode)
-    return directory
-
-
-@cache
-def empty_database() -> tuple[bytes, int]:
-    """Content and mode of a database that all migrations have gone through."""
-    with TemporaryDirectory() as directory:
-        open_store(Path(directory)).close()
-        database = Path(directory) / FILE_NAME
-        return database.read_bytes(), database.stat().st_mode

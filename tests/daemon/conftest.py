@@ -35,7 +35,6 @@ from drivers.clock import SteppedClock
 from drivers.protocols import CapturedFrame, CapturedPair
 from tests.daemon.times import minute_of
 from tests.daemon.web.browsing import start_chromium
-from tests.shared import new_state
 
 START = datetime(2026, 3, 1, 11, 59, 30, tzinfo=UTC)
 SMALL = Rules(min_free_gb=0.0, reserve_mb=0)
@@ -157,7 +156,7 @@ class Station:
 
 @pytest.fixture
 def station(tmp_path: Path):
-    station = Station(new_state(tmp_path / "state"))
+    station = Station(tmp_path / "state")
     yield station
     station.store.close()
 
@@ -168,7 +167,7 @@ def make_station(tmp_path: Path):
     made: list[Station] = []
 
     def make() -> Station:
-        made.append(Station(new_state(tmp_path / f"state-{len(made)}")))
+        made.append(Station(tmp_path / f"state-{len(made)}"))
         return made[-1]
 
     yield make

@@ -32,7 +32,7 @@ from drivers.sim.frameset_writer import FrameSetPlan, write_frame_set
 from drivers.sim.settings import SimPlate, SimSettings
 from tests.daemon.rows import add_rows
 from tests.laboratory import laboratory
-from tests.shared import new_state, shared_directory
+from tests.shared import shared_directory
 
 LABORATORY = laboratory(640)
 """The laboratory site on sensors of a third of the pixels; no backend, as for `--from`."""
@@ -264,7 +264,6 @@ class Site:
 @pytest.fixture
 def site(tmp_path: Path, ctl: Ctl) -> Site:
     """A calibrated site with ten good rows."""
-    new_state(tmp_path / "state")
     made = Site(tmp_path, ctl)
     made.calibrate()
     made.measure(10)

@@ -13,6 +13,7 @@ import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from sqlalchemy import Engine, event
@@ -20,8 +21,8 @@ from sqlalchemy import Engine, event
 from daemon.store.database import open_store
 from daemon.store.frames.archive import FrameArchive
 from daemon.store.records import GapCause
+from tests import made_database
 from tests.daemon.store.examples import PERIOD_S, full_record, pair, slot
-from tests.shared import empty_database, new_state
 
 SLOTS = 2
 
@@ -81,13 +82,15 @@ def main() -> None:
     if "--kill" not in sys.argv:
         run(state)
         return
-    empty_database()  # made once, before there are children
+    made_database.share()
+    with TemporaryDirectory() as first:  # before there are children
+        open_store(Path(first)).close()
     last_step, status = 0, 1
     while status != 0:
         last_step += 1
         child = os.fork()
         if child == 0:
-            new_state(state / str(last_step))
+            open_store(state / str(last_step)).close()
             killed_run(state / str(last_step), last_step)
             os._exit(0)
         _, status = os.waitpid(child, 0)
