@@ -23,7 +23,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from benchmarks.memory import resident_mb
-from benchmarks.soak_history import DAY_MIN, PERIOD, START_UTC, History
+from benchmarks.soak_history import START_UTC, History
 from daemon.control.control_socket import paused_daemon
 from daemon.store.database import Store, open_store_readonly
 from daemon.store.records import GapCause
@@ -35,7 +35,7 @@ SETTLED_DAYS = 2
 STATUS_RUNS = 5
 FAIR_MIN = 10
 """How long the same image is shown on end in fair weather."""
-YEARS_MIN = 20 * 365.25 * DAY_MIN
+TWENTY_YEARS = timedelta(days=20 * 365.25)
 
 
 @dataclass
@@ -108,14 +108,14 @@ class Site:
         command = [sys.executable, "-m", "benchmarks.soak_daemon", boot_id, *self._looks]
         command += self._options
         if not cut:
-            command += ["--max-slots", str((end_utc - begin_utc) // PERIOD)]
-        life = Life()
+            command += ["--max-slots", str((end_utc - begin_utc) // self._history.period)]
+        life, last_but_one = Life(), timedelta(days=1) - 2 * self._history.period
         pauses = [slot for slot in self._history.pauses() if begin_utc <= slot < end_utc]
         with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as dcamd:
             for slot, is_row in _ended(dcamd):
                 if is_row:
                     life.rows.add(slot)
-                if (slot - begin_utc) % timedelta(days=1) == timedelta(days=1) - 2 * PERIOD:
+                if (slot - begin_utc) % timedelta(days=1) == last_but_one:
                     life.memory_mb.append(resident_mb(dcamd.pid))
                     _say(f"{slot:%Y-%m-%d}: {life.memory_mb[-1]:.1f} MB")
                 if pauses and slot >= pauses[0]:
@@ -152,7 +152,9 @@ def run(history: History, directory: Path, measure_every: int, fair_min: int = F
     size_mb = (site.state / "dcam.db").stat().st_size / 1e6
     frames_mb = sum(f.stat().st_size for f in (site.state / "frames").rglob("*.*")) / 1e6
     with open_store_readonly(site.state) as store:
-        covered = store.coverage(START_UTC, history.end_utc, period_s=60)
+        covered = store.coverage(
+            START_UTC, history.end_utc, period_s=int(history.period.total_seconds())
+        )
         wrong = _faults(store, history, first.rows | second.rows)
     powered = len(history.powered())
     return Result(
@@ -167,7 +169,7 @@ def run(history: History, directory: Path, measure_every: int, fair_min: int = F
         status_s=status_s,
         status_cpu_s=status_cpu_s,
         database_mb=size_mb,
-        database_20_years_gb=size_mb / powered * YEARS_MIN / 1e3,
+        database_20_years_gb=size_mb / powered * (TWENTY_YEARS / history.period) / 1e3,
         frames_mb=frames_mb,
         cpu_ms_per_slot=1e3 * cpu_s / powered,
         hours=hours,
@@ -180,11 +182,11 @@ def _faults(store: Store, history: History, acknowledged: set[datetime]) -> list
     causes = {}
     for gap in store.gaps():
         for number in range(gap.slots):
-            causes[gap.first_slot_utc + number * PERIOD] = gap.cause
+            causes[gap.first_slot_utc + number * history.period] = gap.cause
     wrong: Counter[str] = Counter()
     paused = 0
-    for minute in range(history.slots):
-        slot = START_UTC + minute * PERIOD
+    for number in range(history.slots):
+        slot = START_UTC + number * history.period
         if slot in rows and slot in causes:
             wrong["slots with a row and in a gap"] += 1
         if slot not in rows and slot not in causes:

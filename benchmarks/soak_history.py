@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 START_UTC = datetime(2026, 3, 1, tzinfo=UTC)
-PERIOD = timedelta(minutes=1)
+MINUTE = timedelta(minutes=1)
 SITE = Path(__file__).with_name("soak.toml")
 DAY_MIN = 1440
 
@@ -38,13 +38,22 @@ class History:
     """The power fails just after this slot."""
     dark_until: datetime
     """Power is back by this slot."""
+    period: timedelta = MINUTE
+    """From slot to slot."""
 
     @classmethod
-    def of(cls, days: int, dark_days: float, bright_days: float | None = None) -> History:
+    def of(
+        cls,
+        days: int,
+        dark_days: float,
+        bright_days: float | None = None,
+        period: timedelta = MINUTE,
+    ) -> History:
         """Put the power failure after so many days, or in the middle; its ends by day."""
         before = (days - dark_days) / 2.0 if bright_days is None else bright_days
         dark_from = START_UTC + timedelta(minutes=round(DAY_MIN * before))
-        return cls(days, dark_from, dark_from + timedelta(minutes=round(DAY_MIN * dark_days)))
+        dark_until = dark_from + timedelta(minutes=round(DAY_MIN * dark_days))
+        return cls(days, dark_from, dark_until, period)
 
     @property
     def end_utc(self) -> datetime:
@@ -54,7 +63,7 @@ class History:
     @property
     def slots(self) -> int:
         """All slots, with those without power."""
-        return self.days * DAY_MIN
+        return timedelta(days=self.days) // self.period
 
     def dark(self, slot_utc: datetime) -> bool:
         """Tell whether there is no power at a slot."""
@@ -62,12 +71,12 @@ class History:
 
     def powered(self) -> list[datetime]:
         """The slots with power."""
-        every = (START_UTC + minute * PERIOD for minute in range(self.slots))
+        every = (START_UTC + number * self.period for number in range(self.slots))
         return [slot for slot in every if not self.dark(slot)]
 
     def camera_lost(self, slot_utc: datetime) -> bool:
         """Tell whether a camera is gone at a slot."""
-        minute = (slot_utc - START_UTC) // PERIOD
+        minute = (slot_utc - START_UTC) // MINUTE
         return any(
             (minute - first) % (days * DAY_MIN) < lasting and minute >= first
             for kind, first, lasting, days in WEATHER
@@ -83,6 +92,7 @@ class History:
     def config(self, clock_start_utc: datetime) -> str:
         """Give the site's config, as TOML."""
         text = SITE.read_text(encoding="utf-8")
+        text += f"\n[schedule]\nperiod_s = {self.period.total_seconds():g}\n"
         text += f"\n[simulation]\nclock_start_utc = {clock_start_utc:%Y-%m-%dT%H:%M:%SZ}\n"
         for kind, first, lasting, days in WEATHER:
             name, _, role = kind.partition(" ")

@@ -25,7 +25,7 @@ BEGIN = "begin"
 """The mark before which everything is safe; other marks are numbers of promises."""
 
 ABSENCE = timedelta(seconds=200)
-ONE_OF = one_of(8)
+ONE_OF = one_of(20)
 """Of so many states in a row that are alike, one is tried."""
 AGAIN = 4
 """Each so many of those are recovered a second time."""

@@ -106,7 +106,7 @@ def calls_of(undisturbed: InterruptedRun, how: str, calls: Sequence[str]) -> lis
     return [
         f"{call}:{how}:when={number}"
         for call in calls
-        for number in range(1, undisturbed.calls[call] + 1, one_of(8))
+        for number in range(1, undisturbed.calls[call] + 1, one_of(16))
     ]
 
 

@@ -212,12 +212,12 @@ def _frame(content: bytes, *, whole: bool = False, as_written: bool = False) -> 
 
 
 def _checksum(data: bytes, chain: Chain, order: str) -> Chain:
-    first, second = chain
-    words = struct.unpack(f"{order}{len(data) // 4}I", data)
-    for index in range(0, len(words), 2):
-        first = (first + words[index] + second) & _MASK
-        second = (second + words[index + 1] + first) & _MASK
-    return first, second
+    """Each pair of words w, v adds them: first += second + w, second += first + v."""
+    words = np.frombuffer(data, dtype=f"{order}u4").astype(np.uint64)
+    words[0] += np.uint64(sum(chain))
+    words[1] += np.uint64(chain[1])
+    first, second = words @ _weights(len(words))
+    return int(first) & _MASK, int(second) & _MASK
 
 
 def _bits_apart(one: Chain, other: Chain) -> int:
@@ -253,7 +253,6 @@ def _weights(words: int) -> NDArray[np.uint64]:
     even, odd = (1, 1), (0, 1)
     for index in range(words - 2, -1, -2):
         weights[index], weights[index + 1] = even, odd
-        # A later pair of words w, v adds them: first += second + w, second += first + v.
         even, odd = (
             ((first + second) & _MASK, (first + 2 * second) & _MASK)
             for first, second in (even, odd)
