@@ -21,7 +21,7 @@ from daemon.store.frames.archive import FrameArchive
 from daemon.store.records import MeasurementRecord
 from tests.daemon.commands.conftest import SIMULATED, Ctl, rows_of
 
-PAIRS, SLOTS, HAZE_MM = 6, 5, 0.4
+PAIRS, SLOTS, HAZE_MM = 6, 3, 0.4
 BURST = f"[schedule]\nburst = {PAIRS}\nburst_spacing_s = 0.25\n"
 HAZE = f'haze_mm = {HAZE_MM}\n[[simulation.scenarios]]\nkind = "haze"\n'
 VALUES = ("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm", "raw_x_mm", "rx_rad", "tz_mm", "spread_x_mm")
@@ -29,7 +29,7 @@ VALUES = ("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm", "raw_x_mm", "rx_rad", "tz_
 
 @pytest.fixture(scope="module")
 def hazy(calibrated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A site on a hot day whose dcamd has run for five slots; not to be changed."""
+    """A site on a hot day whose dcamd has run for three slots; not to be changed."""
     directory = tmp_path_factory.mktemp("hazy")
     shutil.copytree(calibrated, directory / "state")
     (directory / "dcam.toml").write_text(f"{SIMULATED}{HAZE}{BURST}")

@@ -114,10 +114,11 @@ def test_method_paper_on_pan_and_tilt_alone_is_not_made_active(
 
 @pytest.mark.parametrize("method", ["rigid", "paper"])
 def test_pan_alone_is_refused_and_tilt_is_asked_for(
-    ctl: Ctl, bench: Path, own_set: Path, tmp_path: Path, method: str
+    ctl: Ctl, bench: Path, brief: Path, tmp_path: Path, method: str
 ) -> None:
     """Motions that cannot determine the model give no calibration, accepted or not."""
     world = World(load_config(bench / "dcam.toml").site(), SimSettings(seed=SEED))
+    own_set = Path(shutil.copytree(brief, tmp_path / "set"))
     rows = read_frame_set(own_set).rows_of("rig")
     for row, pan_deg in zip(rows, np.linspace(-0.15, 0.15, len(rows)), strict=True):
         world.turn_head(float(pan_deg), 0.0)

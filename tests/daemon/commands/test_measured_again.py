@@ -37,7 +37,7 @@ BEFORE, WRONG, AFTER = 2, 3, 2
 class Bridge:
     """A site with fixed targets: what is known of a row depends on its time and on others."""
 
-    def __init__(self, directory: Path, ctl: Ctl) -> None:
+    def __init__(self, directory: Path, ctl: Ctl | None = None) -> None:
         self.config, self.state, self._ctl = directory / "dcam.toml", directory / "state", ctl
 
     def run(self, slots: int, clock_utc: datetime | None = None) -> None:
@@ -50,6 +50,7 @@ class Bridge:
         self.config.write_text(CONFIG.replace("[simulation]", f"[simulation]{clock}", 1))
 
     def ctl(self, *arguments: object) -> Ran:
+        assert self._ctl is not None
         return self._ctl("--config", self.config, "--state", self.state, *arguments)
 
     def date(self) -> Ran:
@@ -69,15 +70,23 @@ class Bridge:
         return [row for row in self.rows() if row.redated_from_utc is not None]
 
 
-@pytest.fixture
-def bridge(further: Path, ctl: Ctl, tmp_path: Path) -> Bridge:
-    """Two rows; then three pairs of a wrong clock, and two rows of the right one."""
-    shutil.copytree(further / "state", tmp_path / "state")
-    made = Bridge(tmp_path, ctl)
+@pytest.fixture(scope="module")
+def lived(further: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two rows; then three pairs of a wrong clock, two rows of the right one. Not to be changed."""
+    directory = tmp_path_factory.mktemp("lived")
+    shutil.copytree(further / "state", directory / "state")
+    made = Bridge(directory)
     made.run(BEFORE)
     made.run(WRONG, WOKE)
     made.run(AFTER, TRUE + 10 * MINUTE)
-    return made
+    return directory
+
+
+@pytest.fixture
+def bridge(lived: Path, ctl: Ctl, tmp_path: Path) -> Bridge:
+    """A site of its own with that record."""
+    shutil.copytree(lived, tmp_path, dirs_exist_ok=True)
+    return Bridge(tmp_path, ctl)
 
 
 def sigmas_mm(rows: list[MeasurementRecord]) -> list[float]:
