@@ -137,12 +137,12 @@ class Visit:
     def violations(self) -> list[str]:
         """What axe-core finds of a serious or critical kind."""
         self.page.evaluate(AXE.read_text(encoding="utf-8"))
-        found: dict[str, Any] = self.page.evaluate(
-            "axe.run({ resultTypes: ['violations'], iframes: false })"
+        found: list[dict[str, Any]] = self.page.evaluate(
+            "axe.run({ resultTypes: ['violations'], iframes: false }).then(all => all.violations)"
         )
         return [
             f"{rule['id']}: {json.dumps([node['target'] for node in rule['nodes']])}"
-            for rule in found["violations"]
+            for rule in found
             if rule["impact"] in GRAVE
         ]
 

@@ -1,7 +1,8 @@
-"""dcam-web beside a record of two weeks; each process of the tests has its own."""
+"""dcam-web beside a record of two weeks; each process of the tests runs its own."""
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import timedelta
@@ -17,6 +18,7 @@ from daemon.store.database import open_store
 from daemon.store.ledger.entries import LedgerEntry, LedgerKind
 from daemon.times import slot_text
 from tests.daemon.web.browsing import WIDE, Visit, visiting
+from tests.shared import shared_directory
 
 SLOTS = 20_000
 """More than a figure has pixels, so that buckets are drawn."""
@@ -44,18 +46,26 @@ def whole(served: Served) -> tuple[str, str]:
     return slot_text(FIRST), slot_text(served.record.last + MINUTE)
 
 
-@pytest.fixture(scope="session")
-def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    directory: Path = tmp_path_factory.mktemp("page")
-    config = directory / "dcam.toml"
+def make_site(directory: Path) -> None:
+    """A site with its record, which dcam-web has read once."""
+    config, state = directory / "dcam.toml", directory / "state"
     config.write_text(f'{CONFIG}\n[report]\nreference = "levelling.csv"\n')
     (directory / "levelling.csv").write_text(LEVELLING)
-    record = write_record(directory / "state", load_config(config).site(), SLOTS)
+    record = write_record(state, load_config(config).site(), SLOTS)
     span = record.suspect, record.suspect + timedelta(minutes=30)
     painted = LedgerEntry(LedgerKind.EXCLUDE, "Eve", record.last, "plate painted", *span)
-    with open_store(directory / "state") as store:
+    with open_store(state) as store:
         store.add_ledger_entry(painted)
-    with serving(config, directory / "state") as url:
+    with serving(config, state) as url:
+        wait_until_read(url)
+    (directory / "record.pickle").write_bytes(pickle.dumps(record))
+
+
+@pytest.fixture(scope="session")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    directory = shared_directory(tmp_path_factory, "page", make_site)
+    record: PageRecord = pickle.loads((directory / "record.pickle").read_bytes())
+    with serving(directory / "dcam.toml", directory / "state") as url:
         wait_until_read(url)
         yield Served(url, record)
 

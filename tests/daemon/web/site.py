@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import json
 import math
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -13,16 +14,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from core.results import Displacement, Flag, Measurement, Reason
 from daemon.config.reading import find_installation
-from daemon.store.database import Store
-from daemon.store.records import CameraState, MeasurementRecord, Reading
+from daemon.store.database import open_store
+from daemon.store.records import CameraState, GapCause, MeasurementRecord, Reading
 from daemon.web.app import build_app
 from daemon.web.serving import serving
 from daemon.web.settings import settings_of
 from tests.daemon.commands.conftest import SIMULATED
-from tests.daemon.store.examples import START, slot
+from tests.daemon.store.examples import PERIOD_S, START, slot
+from tests.shared import shared_directory
 from tests.waiting import PATIENCE_S
 
 ROWS = 600
@@ -57,10 +60,17 @@ def row(number: int, slot_utc: datetime | None = None) -> MeasurementRecord:
     )
 
 
-def fill(store: Store) -> None:
-    """Write the record."""
-    for number in range(ROWS):
-        store.add_measurement(row(number))
+def fill(directory: Path) -> None:
+    """Write the record, with a gap at its end."""
+    with open_store(directory / "state") as store:
+        for number in range(ROWS):
+            store.add_measurement(row(number))
+        store.record_gap(slot(ROWS), slot(ROWS + 9), GapCause.POWER_LOSS, period_s=PERIOD_S)
+
+
+def copy_record(factory: pytest.TempPathFactory, directory: Path) -> None:
+    """The record as `directory/state`; it is written once for all tests."""
+    shutil.copytree(shared_directory(factory, "waves", fill) / "state", directory / "state")
 
 
 @dataclass(frozen=True, slots=True)

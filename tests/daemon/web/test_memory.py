@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from urllib.request import urlopen
 
+import pytest
+
 from benchmarks.page_server import own_mb, rss_mb, running
-from daemon.store.database import open_store
-from tests.daemon.web.site import fill
+from tests.daemon.web.site import copy_record
 from tests.waiting import wait_for
 
 MOST_MB = 37.0
@@ -16,11 +17,12 @@ MOST_WITH_LIBRARIES_MB = 55.0
 """48 to 50; with the pages of libraries that only the start needed, it would be 58 to 62."""
 
 
-def test_at_rest_it_takes_little_memory_of_its_own(tmp_path: Path) -> None:
+def test_at_rest_it_takes_little_memory_of_its_own(
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path
+) -> None:
     """A second start: byte code is there, as the installation has it."""
     config, state = Path("benchmarks/small.toml").absolute(), tmp_path / "state"
-    with open_store(state) as store:
-        fill(store)
+    copy_record(tmp_path_factory, tmp_path)
     for start in (1, 2):
         with running(config, state) as (process, url):
             with urlopen(f"{url}/api/site") as answer:  # once the record is read

@@ -11,11 +11,21 @@ import pytest
 
 from daemon.store.database import open_store, open_store_readonly
 from daemon.store.ledger.entries import LedgerEntry, LedgerKind
-from daemon.store.records import GapCause
 from daemon.web.follower import Follower
 from daemon.web.pyramid import EPOCH_S, LEVELS
 from tests.daemon.store.examples import PERIOD_S, START, calibration, datum, slot
-from tests.daemon.web.site import DARK, PEAK, PEAK_MM, ROWS, SINCE, UNTIL, fill, page, row, y_mm
+from tests.daemon.web.site import (
+    DARK,
+    PEAK,
+    PEAK_MM,
+    ROWS,
+    SINCE,
+    UNTIL,
+    copy_record,
+    page,
+    row,
+    y_mm,
+)
 
 Y = "y_mm.main"
 
@@ -23,9 +33,7 @@ Y = "y_mm.main"
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("record")
-    with open_store(directory / "state") as store:
-        fill(store)
-        store.record_gap(slot(ROWS), slot(ROWS + 9), GapCause.POWER_LOSS, period_s=PERIOD_S)
+    copy_record(tmp_path_factory, directory)
     return directory
 
 
