@@ -14,7 +14,7 @@ from tests.exhaustive import one_of
 from tests.programs import Program
 from tests.waiting import wait_for
 
-KILLS, SEED = 10 // one_of(2), 5
+KILLS, SEED = 10 // one_of(3), 5
 REFERENCE_FILES = 20
 """Lens views and the zero with its repetitions are about so many images."""
 SITE_WITH_HEAD = """

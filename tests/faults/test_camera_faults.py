@@ -22,9 +22,9 @@ from tests.exhaustive import one_of
 from tests.faults.cameras import ERRORS, GARBAGE
 from tests.faults.faulty_source import FaultySource
 
-FAULTS = 1000 // one_of(3)
+FAULTS = 1000 // one_of(4)
 SEED = 1
-SETTLED = 200 // one_of(3)
+SETTLED = 200 // one_of(4)
 """Slots after which every cache has been filled."""
 GROWTH_MB = 10.0
 

@@ -7,12 +7,12 @@ camera's own registers.
 
 from __future__ import annotations
 
-import dataclasses
 import re
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from drivers.errors import (
     IncompleteFrameError,
     SettingRefusedError,
 )
-from drivers.protocols import Camera, CameraSettings, LineOut, TriggerIn
+from drivers.protocols import Camera, LineOut, TriggerIn
 from tests.drivers.genicam.gige import registers
 from tests.drivers.genicam.gige.bench import (
     HEIGHT_PX,
@@ -48,6 +48,11 @@ pytestmark = pytest.mark.usefixtures("forked_workers")
 MAIN, SUB, STANDING = "15290000", "15290001", "15290002"
 
 
+@pytest.fixture(scope="module")
+def images(kind: Kind, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return write_noise(kind, tmp_path_factory.mktemp("images"), 3, seed=2)
+
+
 @pytest.fixture
 def process(kind: Kind, images: list[Path]) -> Iterator[CameraProcess]:
     camera = kind.process(ADDRESSES[0], MAIN, images)
@@ -56,8 +61,9 @@ def process(kind: Kind, images: list[Path]) -> Iterator[CameraProcess]:
 
 
 @pytest.fixture(scope="module")
-def standing(kind: Kind, images: list[Path]) -> Iterator[CameraProcess]:
+def standing(kind: Kind, tmp_path_factory: pytest.TempPathFactory) -> Iterator[CameraProcess]:
     """A camera for tests that take no frame."""
+    images = write_images(tmp_path_factory.mktemp("standing"), 1, seed=2)
     camera = kind.process(THIRD_ADDRESS, STANDING, images)
     with running(camera):
         yield camera
@@ -65,13 +71,15 @@ def standing(kind: Kind, images: list[Path]) -> Iterator[CameraProcess]:
 
 @pytest.fixture
 def camera(kind: Kind, process: CameraProcess) -> Iterator[Camera]:
-    with closing(kind.make(MAIN, SETTINGS, "main")) as opened:
+    with closing(kind.make(MAIN, kind.settings, "main")) as opened:
         opened.open()
         yield opened
 
 
-def settings(**values: Any) -> CameraSettings:
-    return dataclasses.replace(SETTINGS, **values)
+def write_noise(kind: Kind, directory: Path, n: int, *, seed: int) -> list[Path]:
+    """Images of the size that is set."""
+    shape = kind.settings.height_px, kind.settings.width_px
+    return write_images(directory, n, seed=seed, shape=shape)
 
 
 def outcome(camera: Camera, timeout_s: float) -> DeviceError | None:
@@ -89,7 +97,10 @@ def outcome(camera: Camera, timeout_s: float) -> DeviceError | None:
 def test_two_cameras_are_distinguished_by_serial_though_they_changed_places(
     kind: Kind, tmp_path: Path
 ) -> None:
-    images = {MAIN: write_images(tmp_path, 1, seed=3), SUB: write_images(tmp_path, 1, seed=4)}
+    images = {
+        MAIN: write_noise(kind, tmp_path, 1, seed=3),
+        SUB: write_noise(kind, tmp_path, 1, seed=4),
+    }
     for addresses in (ADDRESSES, ADDRESSES[::-1]):
         processes = [
             kind.process(address, serial, images[serial])
@@ -97,7 +108,7 @@ def test_two_cameras_are_distinguished_by_serial_though_they_changed_places(
         ]
         with running(*processes):
             for serial in (MAIN, SUB):
-                with closing(kind.make(serial, SETTINGS, None)) as camera:
+                with closing(kind.make(serial, kind.settings, None)) as camera:
                     camera.open()
                     assert image_index(grab(camera).pixels, images[serial]) == 0
 
@@ -106,18 +117,19 @@ def test_a_wrong_serial_is_answered_with_the_ones_there_are(
     kind: Kind, standing: CameraProcess
 ) -> None:
     with pytest.raises(DeviceLostError, match=f"999.*not found.*{STANDING}"):
-        kind.make("999", SETTINGS, None).open()
+        kind.make("999", kind.settings, None).open()
 
 
 def test_a_camera_whose_program_was_killed_is_taken_over_when_it_forgets_it(
     kind: Kind, process: CameraProcess
 ) -> None:
     """And before that, another program is not robbed of it: the same wait ends in a refusal."""
+    size = kind.settings.width_px, kind.settings.height_px
     program = (
         "from tests.drivers.genicam.gige.kinds import kind_of\n"
         "from drivers.protocols import CameraSettings\n"
         f"camera = kind_of({kind.name!r}).make(\n"
-        f"    {MAIN!r}, CameraSettings({WIDTH_PX}, {HEIGHT_PX}), None)\n"
+        f"    {MAIN!r}, CameraSettings{size}, None)\n"
         "camera.open()\n"
         "print('open', flush=True)\n"
         "import time; time.sleep(60)\n"
@@ -128,9 +140,9 @@ def test_a_camera_whose_program_was_killed_is_taken_over_when_it_forgets_it(
         assert other.stdout is not None
         assert any(line.rstrip() == "open" for line in other.stdout)
         other.kill()
-    with closing(kind.make(MAIN, SETTINGS, None)) as camera:
+    with closing(kind.make(MAIN, kind.settings, None)) as camera:
         camera.open()
-        assert grab(camera).pixels.shape == (HEIGHT_PX, WIDTH_PX)
+        assert grab(camera).pixels.shape == size[::-1]
 
 
 # --- set-up
@@ -140,7 +152,9 @@ def test_every_automatic_mode_is_off_and_what_was_asked_is_set(
     kind: Kind, process: CameraProcess
 ) -> None:
     """On a camera that comes up with all of them on, exposure and gain locked by them."""
-    with closing(kind.make(MAIN, settings(exposure_us=20_000.0, gain_db=6.0), None)) as camera:
+    with closing(
+        kind.make(MAIN, replace(kind.settings, exposure_us=20_000.0, gain_db=6.0), None)
+    ) as camera:
         camera.open()
         frame = grab(camera)
         assert (frame.exposure_us, frame.gain_db) == (20_000.0, 6.0)
@@ -210,17 +224,20 @@ def test_a_setting_out_of_range_is_refused_with_its_limits(
     kind: Kind, standing: CameraProcess, values: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(SettingRefusedError, match=f"camera {STANDING}: .*{message}"):
-        kind.make(STANDING, settings(**values), None).open()
+        kind.make(STANDING, replace(SETTINGS, **values), None).open()
 
 
 def test_a_smaller_image_is_the_middle_of_the_sensor(
     kind: Kind, process: CameraProcess, images: list[Path]
 ) -> None:
-    with closing(kind.make(MAIN, settings(width_px=64, height_px=32), None)) as camera:
+    with closing(
+        kind.make(MAIN, replace(kind.settings, width_px=64, height_px=32), None)
+    ) as camera:
         camera.open()
         whole = read_pixels(images[0])
-        assert np.array_equal(grab(camera).pixels, whole[16:48, 16:80])
-    with closing(kind.make(MAIN, SETTINGS, None)) as camera:
+        top, left = (whole.shape[0] - 32) // 2, (whole.shape[1] - 64) // 2
+        assert np.array_equal(grab(camera).pixels, whole[top : top + 32, left : left + 64])
+    with closing(kind.make(MAIN, kind.settings, None)) as camera:
         camera.open()  # the offsets left behind do not limit the size
         assert np.array_equal(grab(camera).pixels, read_pixels(images[1]))
 
@@ -229,7 +246,9 @@ def test_a_smaller_image_is_the_middle_of_the_sensor(
 def test_deeper_pixels_come_whole(kind: Kind, tmp_path: Path, bits: int) -> None:
     images = write_images(tmp_path, 2, seed=5, bits=bits)
     with running(kind.process(ADDRESSES[0], MAIN, images)):
-        with closing(kind.make(MAIN, settings(pixel_format=f"Mono{bits}"), None)) as camera:
+        with closing(
+            kind.make(MAIN, replace(SETTINGS, pixel_format=f"Mono{bits}"), None)
+        ) as camera:
             camera.open()
             frame = grab(camera)
         assert frame.bits == bits
@@ -239,7 +258,7 @@ def test_deeper_pixels_come_whole(kind: Kind, tmp_path: Path, bits: int) -> None
 
 def test_full_size_frames_are_exact(kind: Kind, tmp_path: Path) -> None:
     images = write_images(tmp_path, 2, seed=6, shape=(1200, 1920))
-    whole = settings(width_px=1920, height_px=1200, packet_size_bytes=8192)
+    whole = replace(SETTINGS, width_px=1920, height_px=1200, packet_size_bytes=8192)
     camera = kind.make(MAIN, whole, None)
     with running(kind.process(ADDRESSES[0], MAIN, images)), closing(camera):
         camera.open()
@@ -283,7 +302,7 @@ def test_a_camera_that_falls_silent_is_given_up_and_comes_back(
     kind: Kind, process: CameraProcess
 ) -> None:
     """Given up while it is silent still: it would be so for ever."""
-    with closing(kind.make(MAIN, settings(command_timeout_s=4.0), "main")) as camera:
+    with closing(kind.make(MAIN, replace(kind.settings, command_timeout_s=4.0), "main")) as camera:
         camera.open()
         grab(camera)
         process.freeze()
@@ -311,15 +330,18 @@ def test_a_camera_restarted_behind_our_back_is_noticed(
 def test_one_of_two_cameras_dies_and_comes_back_without_disturbing_the_other(
     kind: Kind, tmp_path: Path
 ) -> None:
-    images = {MAIN: write_images(tmp_path, 2, seed=7), SUB: write_images(tmp_path, 2, seed=8)}
+    images = {
+        MAIN: write_noise(kind, tmp_path, 2, seed=7),
+        SUB: write_noise(kind, tmp_path, 2, seed=8),
+    }
     dying, other = (
         kind.process(address, serial, images[serial])
         for address, serial in zip(ADDRESSES, (MAIN, SUB), strict=True)
     )
     with (
         running(dying, other),
-        closing(kind.make(MAIN, SETTINGS, "main")) as main,
-        closing(kind.make(SUB, SETTINGS, "sub")) as sub,
+        closing(kind.make(MAIN, kind.settings, "main")) as main,
+        closing(kind.make(SUB, kind.settings, "sub")) as sub,
     ):
         for camera in (main, sub):
             camera.open()

@@ -11,6 +11,7 @@ from drivers.genicam.aravis import AravisCamera
 from drivers.genicam.gentl import GentlCamera
 from drivers.protocols import Camera, CameraSettings, Role
 from tests.drivers.genicam.gentl.bench import genapi_xml, producer
+from tests.drivers.genicam.gige.bench import QUIET, SETTINGS
 from tests.drivers.genicam.gige.process import CameraProcess
 from tests.drivers.genicam.usb3.bench import Usb3Process, require_bus
 
@@ -28,6 +29,8 @@ class Kind:
     options: tuple[str, ...]
     """What its camera process needs."""
     process_class: type[CameraProcess] = CameraProcess
+    settings: CameraSettings = SETTINGS
+    """With which to wait takes no processor."""
 
     def process(
         self, address: str, serial: str, images: Sequence[Path], options: Sequence[str] = ()
@@ -42,7 +45,7 @@ def kind_of(name: KindName) -> Kind:
         return Kind(name, AravisCamera, ())
     if name == "usb3":
         require_bus()
-        return Kind(name, AravisCamera, (), Usb3Process)
+        return Kind(name, AravisCamera, (), Usb3Process, QUIET)
     cti = producer()
     return Kind(
         name,
