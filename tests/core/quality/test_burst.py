@@ -66,7 +66,7 @@ def test_mean_spread_and_number_of_quiet_pairs():
 
 
 @pytest.mark.parametrize("haze_mm", [0.0, 0.05, 0.5])
-@pytest.mark.parametrize("n", [2, 3, 5, 12])
+@pytest.mark.parametrize("n", [2, 3, 5, 12][:: one_of(2)])
 def test_sigma_holds_two_thirds_of_the_errors(n, haze_mm):
     rng = np.random.default_rng([n, round(100 * haze_mm)])
     inside = [
