@@ -20,6 +20,7 @@ from daemon.store.records import Thinning
 from drivers.errors import DeviceLostError
 from drivers.frameset import read_frame_set
 from tests.daemon.conftest import START, Station
+from tests.daemon.rows import add_rows
 from tests.daemon.store.examples import pair, record
 
 PERIOD_S = 1800
@@ -49,10 +50,11 @@ def stationed(state: Path, rules: Rules) -> Iterator[Station]:
 
 def filled(station: Station, days: int, slots_a_day: int = A_DAY) -> None:
     """Days of slots with frames and rows, from midnight of the first; as a daemon leaves them."""
-    for number in range(days * slots_a_day):
-        slot = START.replace(hour=0, minute=0, second=0) + number * timedelta(days=1) / slots_a_day
+    first = START.replace(hour=0, minute=0, second=0)
+    slots = [first + n * timedelta(days=1) / slots_a_day for n in range(days * slots_a_day)]
+    for number, slot in enumerate(slots):
         station.archive.store(slot, pair(number % 7))
-        station.store.add_measurement(record(slot))
+    add_rows(station.store, map(record, slots))
 
 
 def retention(station: Station, rules: Rules) -> Retention:
