@@ -19,6 +19,7 @@ from daemon.config.reading import load_config
 from daemon.reports.figure import GapSpan, draw
 from daemon.reports.series import series_of
 from daemon.store.integrity.checksum import row_digest
+from drivers.sim.season_writer import SeasonPlan
 from tests.daemon.commands.conftest import Ctl
 from tests.programs import Forked
 
@@ -34,7 +35,8 @@ SMALLER = (
 def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The demo's site on sensors of a quarter of the pixels, for its first 24 slots.
 
-    Its board has a quarter of the squares, so that a calibration takes a third of the time.
+    Its board has a quarter of the squares, and its season fewer views to calibrate on, so that a
+    calibration takes a third of the time.
     """
     text = demo.SITE.read_text()
     for whole, part in SMALLER:
@@ -45,7 +47,8 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(demo, "SITE", site)
     monkeypatch.setattr(demo, "subprocess", Forked)
     monkeypatch.setattr(demo, "SLOTS", 24)
-    monkeypatch.setattr(demo_season, "ROWS", 8)
+    plan = SeasonPlan(demo_season.DAYS, (8,), intrinsics=8, rig=12)
+    monkeypatch.setattr(demo_season, "season_plan", lambda *_, **__: plan)
     return tmp_path / "demo"
 
 
