@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.deploy.scripts import MANUAL, deploy, documents_of_units, man_python, wheel
+from tests.exhaustive import one_of
 
 CONTACT = {"DEBFULLNAME": "A Builder", "DEBEMAIL": "builder@bridges.org"}
 needs_debian = pytest.mark.skipif(
@@ -77,10 +78,23 @@ def test_debian_package_holds_it_all(package: Path, tmp_path: Path) -> None:
 
 @needs_debian
 @pytest.mark.skipif(not shutil.which("lintian"), reason="lintian is not installed")
-def test_lintian_finds_no_error_and_no_warning_in_the_package(package: Path) -> None:
-    """Of the part that is ours: the wheels of others are not in this one."""
+def test_lintian_finds_no_error_and_no_warning_in_the_package(
+    package: Path, tmp_path: Path
+) -> None:
+    """Of the part that is ours: the wheels of others are not in this one.
+
+    It looks at each file for itself, and of our modules, which are alike, at some.
+    """
+    ask("--raw-extract", package, tmp_path / "tree")
+    modules = sorted((tmp_path / "tree/usr/lib/dcam/venv/lib").rglob("[a-z]*.py"))
+    kept = set(modules[:: one_of(8)])
+    for module in modules:
+        if module not in kept:
+            module.unlink()
+    some = tmp_path / package.name
+    ask("--root-owner-group", "-Zgzip", "-z1", "--build", tmp_path / "tree", some)
     checked = subprocess.run(
-        ["lintian", "--allow-root", str(package)], capture_output=True, text=True, check=False
+        ["lintian", "--allow-root", str(some)], capture_output=True, text=True, check=False
     )
     assert checked.stdout == ""
 

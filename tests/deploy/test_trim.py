@@ -25,7 +25,8 @@ UNPACKED_MB = 540
 """docs/decisions/0034 says where it goes. Who needs more says there why."""
 
 EVERY_EXTRA = """
-import io, sys
+import gc, io, sys
+gc.disable()  # of all that is loaded nothing becomes garbage
 import numpy, cv2, scipy.optimize, scipy.stats, scipy.signal
 assert all(cv2.imencode(kind, numpy.zeros((9, 9), "u1"))[0] for kind in (".png", ".jpg", ".tiff"))
 many = numpy.random.default_rng(1).normal(size=(90, 90))  # beyond what OpenCV works out by itself
