@@ -34,7 +34,7 @@ PATIENCE_MS = 300_000
 """Far longer than anything takes on a busy machine: only a failure takes so long."""
 AXE = Path(__file__).parents[3] / "node_modules/axe-core/axe.min.js"
 GRAVE = {"serious", "critical"}
-WIDE = {"viewport": {"width": 1280, "height": 900}, "color_scheme": "light"}
+WIDE = {"viewport": {"width": 1280, "height": 900}, "color_scheme": "light", "has_touch": True}
 PHONE = {
     "viewport": {"width": 390, "height": 844},
     "color_scheme": "dark",

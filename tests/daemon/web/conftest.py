@@ -72,6 +72,6 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 @pytest.fixture
 def visit(browser: Browser, served: Served) -> Iterator[Visit]:
-    with visiting(browser, served.url, has_touch=True, **WIDE) as visit:
+    with visiting(browser, served.url, **WIDE) as visit:
         yield visit
         assert visit.complaints == []

@@ -94,6 +94,10 @@ class Browser:
 
     port: int
 
+    @property
+    def url(self) -> str:
+        return f"http://localhost:{self.port}"
+
     def __call__(self, path: str, method: str = "GET", **headers: str) -> Answer:
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
         try:

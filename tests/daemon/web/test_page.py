@@ -89,7 +89,7 @@ class TestOverview:
         with open_store(tmp_path / "state") as store:
             for day in range(3):
                 store.add_measurement(row(day, START + timedelta(days=day)))
-        with page(tmp_path) as site, visiting(browser, f"http://localhost:{site.port}") as visit:
+        with page(tmp_path) as site, visiting(browser, site.url, **WIDE) as visit:
             visit.page.goto(visit.url + path)
             building = visit.page.locator("#building")
             expect(building).to_contain_text("33 % so far")
@@ -102,7 +102,7 @@ class TestOverview:
         with open_store(tmp_path / "state") as store:
             for minute in range(30):
                 store.add_measurement(row(minute))
-        with page(tmp_path) as site, visiting(browser, f"http://localhost:{site.port}") as visit:
+        with page(tmp_path) as site, visiting(browser, site.url, **WIDE) as visit:
             visit.go("/")
             assert seconds(visit.span()) == 30 * 60
 
@@ -272,12 +272,13 @@ class TestPictures:
     ) -> None:
         """`make page-pictures` has them put into docs/images; they must not make it heavy."""
         directory = Path(os.environ.get("DCAM_PICTURES", tmp_path))
-        size = {"width": 1000, "height": 640}
-        device = PHONE if name == "phone" else {**WIDE, "viewport": size}
-        with visiting(browser, served.url, **device) as visit:
+        with visiting(browser, served.url, **(PHONE if name == "phone" else WIDE)) as visit:
+            if name != "phone":
+                visit.page.set_viewport_size({"width": 1000, "height": 640})
             if name == "record":
                 visit.go("/")
-            visit.show(*whole(served))
+            if name != "slot":
+                visit.show(*whole(served))
             if name == "record":
                 expect(visit.panel("y").locator("figcaption")).to_contain_text("levelling.csv")
                 visit.page.locator("#figure").scroll_into_view_if_needed()
