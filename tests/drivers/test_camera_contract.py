@@ -19,12 +19,12 @@ import pytest
 
 from drivers.clock import SteppedClock
 from drivers.errors import DeviceLostError, FrameTimeoutError
+from drivers.genicam import gentl
 from drivers.protocols import Camera, CameraSettings, CapturedFrame
 from drivers.sim.cameras import SimulatedCamera
 from drivers.sim.settings import Scenario, SimSettings
 from drivers.sim.world import World
 from tests.drivers.genicam.gige.bench import (
-    SETTINGS,
     gige_network,
     grab,
     image_index,
@@ -34,6 +34,7 @@ from tests.drivers.genicam.gige.bench import write_images as write_noise
 from tests.drivers.genicam.gige.kinds import KindName, kind_of
 from tests.drivers.genicam.gige.loopback import ADDRESSES
 from tests.drivers.sim.rigs import site
+from tests.programs import Forked
 
 SERIAL = "15290000"
 
@@ -64,15 +65,17 @@ def aravis(tmp_path: Path) -> Iterator[Bench]:
 
 
 @pytest.fixture
-def harvesters(tmp_path: Path) -> Iterator[Bench]:
+def harvesters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    monkeypatch.setattr(gentl, "subprocess", Forked)
     yield from genicam("harvesters", tmp_path)
 
 
 def genicam(name: KindName, directory: Path) -> Iterator[Bench]:
-    images = write_noise(directory, 5, seed=1)
-    settings = replace(SETTINGS, exposure_us=2000.0, gain_db=3.0)
     with gige_network():
         kind = kind_of(name)
+        settings = replace(kind.settings, exposure_us=2000.0, gain_db=3.0)
+        shape = settings.height_px, settings.width_px
+        images = write_noise(directory, 5, seed=1, shape=shape)
         camera = kind.make(SERIAL, settings, "main")
         process = kind.process(ADDRESSES[0], SERIAL, images)
 

@@ -111,7 +111,7 @@ class Program:
 
     @property
     def command(self) -> str:
-        return json.dumps([sys.executable, str(self._script)])
+        return json.dumps([sys.executable, "-I", "-S", str(self._script)])  # begins sooner
 
     def write(self, after: str, before: str = "") -> None:
         """Have it do more, before or after it has taken a message."""

@@ -79,6 +79,7 @@ def test_without_a_producer_the_message_says_what_to_set(value: str | None) -> N
         find_producer(Path("/nowhere/x.cti"), environ)
 
 
+@pytest.mark.usefixtures("forked_workers")
 def test_a_file_that_is_no_producer_is_named(tmp_path: Path) -> None:
     text = tmp_path / "text.cti"
     text.write_text("not a library")
@@ -89,6 +90,7 @@ def test_a_file_that_is_no_producer_is_named(tmp_path: Path) -> None:
 # --- a producer of others: real, and with less than a camera needs
 
 
+@pytest.mark.usefixtures("forked_workers")
 def test_a_camera_without_trigger_and_exposure_is_refused_in_one_line() -> None:
     with pytest.raises(SettingRefusedError) as refused:
         GentlCamera("1", dataclasses.replace(SETTINGS, exposure_us=1000.0), viky(), "main").open()
@@ -98,6 +100,7 @@ def test_a_camera_without_trigger_and_exposure_is_refused_in_one_line() -> None:
     assert refused.value.role == "main"
 
 
+@pytest.mark.usefixtures("forked_workers")
 def test_its_cameras_are_found_by_serial() -> None:
     with pytest.raises(DeviceLostError, match=r"camera 9: not found; viky\.cti finds 0, 1, 2\."):
         GentlCamera("9", SETTINGS, viky()).open()
@@ -106,7 +109,7 @@ def test_its_cameras_are_found_by_serial() -> None:
 # --- what producers list beside the two cameras
 
 
-@pytest.mark.usefixtures("process")
+@pytest.mark.usefixtures("forked_workers", "process")
 @pytest.mark.parametrize("habit", ["FOREIGN", "TWICE", "TWO_WAYS", "BAD_INTERFACE"])
 def test_a_camera_is_found_whatever_else_its_producer_lists(habit: str) -> None:
     with closing(GentlCamera(SERIAL, SETTINGS, producer(habit))) as camera:
@@ -114,7 +117,7 @@ def test_a_camera_is_found_whatever_else_its_producer_lists(habit: str) -> None:
         grab(camera)
 
 
-@pytest.mark.usefixtures("process")
+@pytest.mark.usefixtures("forked_workers", "process")
 def test_a_camera_that_is_listed_twice_is_opened_by_the_way_that_works_and_the_log_says_so() -> (
     None
 ):
@@ -125,7 +128,7 @@ def test_a_camera_that_is_listed_twice_is_opened_by_the_way_that_works_and_the_l
     assert said["others"] == [f"no-way/{said['opened']}"]
 
 
-@pytest.mark.usefixtures("process")
+@pytest.mark.usefixtures("forked_workers", "process")
 @pytest.mark.parametrize("habit", [None, "TWICE", "TWO_WAYS"])
 def test_a_camera_that_another_program_has_is_in_use_however_often_it_is_listed(
     kind: Kind, habit: str | None
@@ -137,7 +140,7 @@ def test_a_camera_that_another_program_has_is_in_use_however_often_it_is_listed(
         grab(owner)
 
 
-@pytest.mark.usefixtures("process")
+@pytest.mark.usefixtures("forked_workers", "process")
 def test_another_vendors_camera_with_the_same_number_is_not_taken_for_ours() -> None:
     with pytest.raises(
         DeviceLostError, match=r"2 cameras with this serial .*Others CamX\); disconnect"
@@ -145,14 +148,14 @@ def test_another_vendors_camera_with_the_same_number_is_not_taken_for_ours() -> 
         GentlCamera(SERIAL, SETTINGS, producer("NAMESAKE")).open()
 
 
-@pytest.mark.usefixtures("process")
+@pytest.mark.usefixtures("forked_workers", "process")
 def test_what_is_found_instead_names_devices_without_a_number() -> None:
     found = rf"finds {SERIAL}, Others Gr.*grabber \(which reports no serial number\)\. Check"
     with pytest.raises(DeviceLostError, match=found):
         GentlCamera("9", SETTINGS, producer("FOREIGN")).open()
 
 
-@pytest.mark.usefixtures("process")
+@pytest.mark.usefixtures("forked_workers", "process")
 def test_a_producer_that_cannot_list_its_devices_is_reported_in_its_words() -> None:
     with pytest.raises(DeviceLostError, match=r"cannot list .*device does not answer"):
         GentlCamera(SERIAL, SETTINGS, producer("BAD_DEVICE")).open()
@@ -161,6 +164,7 @@ def test_a_producer_that_cannot_list_its_devices_is_reported_in_its_words() -> N
 # --- lines
 
 
+@pytest.mark.usefixtures("forked_workers")
 def test_a_line_that_can_only_be_the_other_way_is_refused(
     kind: Kind, process: CameraProcess
 ) -> None:
@@ -254,6 +258,7 @@ def test_ctrl_c_and_systemds_stop_leave_the_camera_to_the_program(
     assert not _workers()
 
 
+@pytest.mark.usefixtures("forked_workers")
 def test_a_spurious_edge_between_slots_is_dropped_and_in_the_programs_own_log(
     kind: Kind, process: CameraProcess
 ) -> None:
