@@ -38,7 +38,7 @@ test: $(INSTALLED)
 	@sh .ci/system-packages $(PYTHON) tests
 	$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 3)) --dist loadfile --no-loadscope-reorder
 
-# Each system call, operation on the disk, bit of a header and simulated site, where `make test` takes every third or so.
+# Each system call, operation on the disk, bit of a header, man page and simulated site, where `make test` takes some.
 exhaustive: $(INSTALLED)
 	@sh .ci/system-packages $(PYTHON) tests
 	DCAM_EXHAUSTIVE=1 $(BIN)/python -m pytest $$(grep -rl tests.exhaustive tests --include='test_*.py') tests/crash

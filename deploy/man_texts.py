@@ -6,6 +6,7 @@ its one line; and dcam.toml.5 whole.
 
 from __future__ import annotations
 
+import gc
 import re
 import sys
 from datetime import UTC, datetime
@@ -72,6 +73,7 @@ def _roff(text: str) -> str:
 
 def main() -> None:
     """Write all into a directory; SOURCE is the name and version at the foot of a page."""
+    gc.disable()  # of all that is loaded nothing becomes garbage
     directory, source, seconds = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
     date = datetime.fromtimestamp(seconds, UTC).date().isoformat()
     write_commands(directory)
