@@ -30,6 +30,9 @@ from tests.daemon.commands.conftest import Ctl, rows_of
 from tests.programs import ran as ran_program
 from tests.waiting import wait_for
 
+# Of `distributed`, on a computer without a network.
+pytestmark = pytest.mark.filterwarnings("ignore:Couldn't detect a suitable IP:RuntimeWarning")
+
 DCAM_CTL = Path(sys.executable).with_name("dcam-ctl")
 LONG = 41
 """Slots: three chunks."""

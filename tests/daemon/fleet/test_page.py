@@ -99,8 +99,12 @@ def test_all_sites_are_a_list_a_map_and_each_its_record(
         expect(visit.page.locator("#figure[data-settled]")).to_be_attached()
         assert visit.page.request.get(f"{url}{root}aim").status == 404
         assert visit.page.request.get(f"{url}/sites/nobody/").status == 404
-        other = visit.page.request.get(f"{url}/sites/pier-2/")  # has shared no config
-        assert (other.status, "site: missing" in other.text()) == (503, True), other.text()
+
+        def other() -> tuple[int, bool]:  # has shared no config
+            answer = visit.page.request.get(f"{url}/sites/pier-2/")
+            return answer.status, "site: missing" in answer.text()
+
+        wait_for(lambda: other() == (503, True), "what the other site lacks")
         assert visit.complaints == []
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import itertools
 import os
 import signal
@@ -283,6 +284,7 @@ def test_a_spurious_edge_between_slots_is_dropped_and_in_the_programs_own_log(
 
 def test_reconnects_leave_no_handle_and_no_process(kind: Kind, process: CameraProcess) -> None:
     camera = kind.make(SERIAL, SETTINGS, None)
+    gc.collect()  # what tests before left open is not closed meanwhile
     handles = []
     for _ in range(4):
         camera.open()
@@ -290,7 +292,7 @@ def test_reconnects_leave_no_handle_and_no_process(kind: Kind, process: CameraPr
         camera.close()
         handles.append(len(list(Path("/proc/self/fd").iterdir())))
         assert not _workers()
-    assert handles[-1] == handles[1], handles
+    assert handles[-1] <= handles[1], handles
 
 
 def _workers(parent: int | None = None) -> list[int]:
