@@ -44,8 +44,8 @@ def fetch(url: str, host: str | None = None) -> bytes:
 
 def test_preview_shows_both_cameras_and_ends_with_ctrl_c(preview) -> None:
     address, process = preview
-    told, _, _ = select.select([process.stdout], [], [], PATIENCE_S)
-    assert told, "a look is told at once, on a pipe too"
+    shown, _, _ = select.select([process.stdout], [], [], PATIENCE_S)
+    assert shown, "a look is shown at once, on a pipe too"
     line = process.stdout.readline()
     assert "main: 5 of 5 discs found" in line
     assert "corners in view found" in line
