@@ -254,13 +254,13 @@ def _coverage(
     now_utc: datetime,
     span: timedelta,
 ) -> Coverage:
-    """Account for the slots of a span; the one in progress does not count yet."""
+    """Account for the last slots that fill a span; the one in progress does not count yet."""
     schedule = config.schedule
     since = until = now_utc - timedelta(seconds=schedule.period_s - 1)
     if accounted is not None:
         first, last = accounted
-        since = max(first, now_utc - span)
         until = min(max(until, last + timedelta(seconds=1)), now_utc + timedelta(seconds=1))
+        since = max(first, until - span)
     return overview.coverage(schedule_slots(since, until, schedule.period_s, schedule.offset_s))
 
 

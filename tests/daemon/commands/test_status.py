@@ -94,6 +94,14 @@ def test_slots_that_nothing_accounts_for_are_counted(site: Site) -> None:
     assert json.loads(ran.out)["coverage_24h"]["unaccounted"] == 4
 
 
+@pytest.mark.parametrize("second", [0, 1, 59])
+def test_a_day_has_as_many_slots_in_each_second_of_a_period(site: Site, second: int) -> None:
+    ran = site.status(timedelta(days=40, seconds=second))
+    document = json.loads(ran.out)
+    assert document["coverage_24h"]["expected"] == 24 * 60
+    assert document["coverage_30d"]["expected"] == 30 * 24 * 60
+
+
 @pytest.mark.parametrize(
     ("marks", "level", "reported"),
     [
