@@ -5,6 +5,7 @@ Nothing here asks a camera or the daemon, so that looking never disturbs a slot.
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -237,14 +238,37 @@ def dcamd_runs(state: Path) -> bool | None:
     Read from /proc/locks: to try the lock would stop a dcamd that starts at the same instant.
     """
     try:
-        inode = (state / LOCK_NAME).stat().st_ino
-    except OSError:
+        held = _name_in_locks(state / LOCK_NAME)
+    except FileNotFoundError:
         return False
+    except (OSError, ValueError):
+        return None
     try:
         locks = Path("/proc/locks").read_text(encoding="ascii")
     except OSError:
         return None
-    return any(f":{inode} " in line and "FLOCK" in line for line in locks.splitlines())
+    return any(f" {held} " in line and "FLOCK" in line for line in locks.splitlines())
+
+
+def _name_in_locks(path: Path) -> str:
+    """How /proc/locks names a file: MAJOR:MINOR:INODE, the numbers of the device in hexadecimal.
+
+    The device is its file system's, which mountinfo gives (proc(5)). `stat` has another one for a
+    part of a btrfs. The inode alone would do for no other file system than the one it lies on.
+    """
+    with path.open("rb") as file:
+        inode = os.fstat(file.fileno()).st_ino
+        about = Path(f"/proc/self/fdinfo/{file.fileno()}").read_text(encoding="ascii")
+    mount = next(line.split()[1] for line in about.splitlines() if line.startswith("mnt_id:"))
+    mounts = Path("/proc/self/mountinfo").read_text(encoding="utf-8", errors="replace")
+    device = next(
+        (line.split()[2] for line in mounts.splitlines() if line.split(" ", 1)[0] == mount), None
+    )
+    if device is None:
+        msg = f"/proc/self/mountinfo does not list mount {mount} of {path}"
+        raise ValueError(msg)
+    major, minor = map(int, device.split(":"))
+    return f"{major:02x}:{minor:02x}:{inode}"
 
 
 def _coverage(

@@ -98,7 +98,7 @@ def _daemon(facts: Facts) -> Item:
     if daemon.running:
         return _running_daemon(daemon)
     if daemon.running is None:
-        return Item("daemon", Level.UNKNOWN, "unknown: /proc/locks is not readable")
+        return Item("daemon", Level.UNKNOWN, "unknown: /proc does not say who holds its lock")
     if daemon.clean_stop_utc is not None:
         return Item("daemon", Level.WARNING, f"stopped in order, {utc_text(daemon.clean_stop_utc)}")
     if daemon.heartbeat_utc is None:

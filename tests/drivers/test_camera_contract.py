@@ -19,7 +19,6 @@ import pytest
 
 from drivers.clock import SteppedClock
 from drivers.errors import DeviceLostError, FrameTimeoutError
-from drivers.genicam import gentl
 from drivers.protocols import Camera, CameraSettings, CapturedFrame
 from drivers.sim.cameras import SimulatedCamera
 from drivers.sim.settings import Scenario, SimSettings
@@ -34,7 +33,6 @@ from tests.drivers.genicam.gige.bench import write_images as write_noise
 from tests.drivers.genicam.gige.kinds import KindName, kind_of
 from tests.drivers.genicam.gige.loopback import ADDRESSES
 from tests.drivers.sim.rigs import site
-from tests.programs import Forked
 
 SERIAL = "15290000"
 
@@ -65,8 +63,7 @@ def aravis(tmp_path: Path) -> Iterator[Bench]:
 
 
 @pytest.fixture
-def harvesters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    monkeypatch.setattr(gentl, "subprocess", Forked)
+def harvesters(tmp_path: Path, forked_workers: None) -> Iterator[Bench]:
     yield from genicam("harvesters", tmp_path)
 
 

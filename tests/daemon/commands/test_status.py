@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
+import subprocess
+import sys
 from contextlib import closing
 from datetime import date, timedelta
 from pathlib import Path
@@ -18,6 +20,8 @@ from daemon.lock import sole_writer
 from daemon.store.records import FrameDay, GapCause, Mark
 from tests.daemon.commands.conftest import DARK, MINUTE, SIMULATED, START, Ctl, Ran, Site
 from tests.daemon.commands.imports import modules_of
+
+DCAM_CTL = str(Path(sys.executable).with_name("dcam-ctl"))
 
 
 def test_a_site_that_runs_is_ok(site: Site) -> None:
@@ -129,6 +133,39 @@ def test_looking_does_not_take_the_lock_from_a_daemon_that_starts(site: Site) ->
     site.status(running=False)
     with sole_writer(site.state):
         assert site.levels(site.ctl("status", "--json", "--at", site.end))["daemon"] == "ok"
+
+
+TWO_DISKS = """
+for disk in "$1" "$2"; do
+  mkdir "$disk" && mount -t tmpfs disk "$disk" || exit 77
+  : > "$disk"/dcamd.lock; cp -R "$0"/. "$disk"
+done
+shift 2
+flock "$@"
+"""
+"""New disks number their files alike."""
+
+
+@pytest.mark.parametrize("holds", [True, False])
+def test_a_lock_on_another_disk_is_not_taken_for_dcamd(
+    site: Site, tmp_path: Path, holds: bool
+) -> None:
+    """Its file has the same number there as the lock of this state has here."""
+    disks = [str(tmp_path / name) for name in ("its", "another")]
+    held = Path(disks[0 if holds else 1], "dcamd.lock")
+    ran = subprocess.run(
+        [
+            *("unshare", "-Urm", "sh", "-c", TWO_DISKS, str(site.state), *disks, str(held)),
+            *(DCAM_CTL, "--config", str(site.config), "--state", disks[0], "status", "--json"),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if ran.returncode == 77 or "unshare" in ran.stderr:
+        pytest.skip(f"no mount without root here: {ran.stderr.strip()}")
+    daemon = next(it for it in json.loads(ran.stdout)["items"] if it["name"] == "daemon")
+    assert daemon["text"].startswith("running" if holds else "never ran here")
 
 
 def says(site: Site, silent_s: float = 0.0, **what: object) -> Ran:

@@ -7,10 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers.genicam import gentl
 from tests.drivers.genicam.gige.bench import gige_network, write_images
 from tests.drivers.genicam.gige.kinds import KINDS, Kind, kind_of
-from tests.programs import Forked
 
 
 @pytest.fixture(scope="module")
@@ -27,9 +25,3 @@ def kind(request: pytest.FixtureRequest, network: None) -> Kind:
 @pytest.fixture(scope="module")
 def images(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return write_images(tmp_path_factory.mktemp("images"), 3, seed=2)
-
-
-@pytest.fixture
-def forked_workers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fork the processes of cameras behind a producer: to start Python takes half a second each."""
-    monkeypatch.setattr(gentl, "subprocess", Forked)
