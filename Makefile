@@ -13,7 +13,7 @@ INSTALLED := $(VENV)/.stamp-installed
 
 help:
 	@echo "make venv    make .venv with all that is needed, and do nothing else: .venv/bin/dcam-ctl"
-	@echo "make demo    calibrate, measure 60 slots and more, and compare with the truth: out/demo"
+	@echo "make demo    calibrate, measure 72 slots and more, and compare with the truth: out/demo"
 	@echo "make test    run the tests"
 	@echo "make exhaustive  the tests that try some of many cases, on every case: a quarter of an hour"
 	@echo "make check   lint, types, import contracts"
