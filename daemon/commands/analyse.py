@@ -49,7 +49,13 @@ def _times(
     "\n  dcam-ctl analyse --loaded 2026-03-01T06:00:00Z --predict 365",
 )
 @click.option("--point", default="main", show_default=True, help="A measured target's name.")
-@click.option("--axis", type=click.Choice(["x", "y"]), default="y", show_default=True)
+@click.option(
+    "--axis",
+    type=click.Choice(["x", "y"]),
+    default="y",
+    show_default=True,
+    help="x: to the right; y: upwards.",
+)
 @click.option(
     "--reading",
     "readings",

@@ -25,7 +25,7 @@ _FIRST = datetime(2000, 1, 1, tzinfo=UTC)
     "--since",
     callback=utc_time,
     metavar="TIME",
-    help="Look at months from this time on only; default: at all.",
+    help="Look at months from this time on only; default: at all months.",
 )
 @common_options
 @pass_options

@@ -47,9 +47,10 @@ from daemon.errors import ExitCode, WorkFailedError
 def command(options: Options, hardware: bool, is_long: bool, as_json: bool) -> int:
     """Check config, geometry, state, database, calibration, clock, alarm, report and sensors.
 
-    With --hardware also the computer, cameras, head and disk. Each line is ok, warning or error,
-    and says what to do. Nothing is changed; a file that is written to try the disk is removed
-    again. The exit code is that of the first error, 0 when there is none.
+    Also the room on the disk and who may see the page; with --hardware the computer, cameras, head
+    and how fast the disk is. Each line is ok, warning or error, and says what to do. Nothing is
+    changed; a file that is written to try the disk is removed again. The exit code is that of the
+    first error, 0 when there is none.
     """
     if is_long and not hardware:
         msg = "--long: only with --hardware"

@@ -57,8 +57,9 @@ def command(ctx: click.Context, as_json: bool) -> None:
     """List what holds: spans that are annotated or excluded, with who said so and why.
 
     Entries are only ever added. What was wrong is taken back with undo, which stays in the history,
-    as does the entry. Rows are never changed: excluded ones are left out of plot and report, which
-    say so, and marked in export.
+    as does the entry. Rows are never changed. What is excluded raises no alarm and is left out of
+    analyse and compare; plot hatches it, report gives the months with and without it, export marks
+    it.
     """
     if ctx.invoked_subcommand is not None:
         if as_json:
@@ -156,7 +157,7 @@ _span_command(
 )
 _span_command(
     LedgerKind.EXCLUDE,
-    "Leave a span's values out of figures and sums; the rows stay as they are.",
+    "Leave a span's values out of analyses and alarms; the rows stay as they are.",
     "exclude --since 2026-05-15 --until 2026-05-16 'plate being painted'",
 )
 

@@ -113,7 +113,7 @@ def command(
     """Say what this site will see and how well it will measure; needs no images.
 
     Scales, fields of view, room to move, Eq. 5; the 1-sigma of a corrected displacement by a
-    planned pan-tilt calibration, what limits it, what would better it. The calibration's own
+    planned pan-tilt calibration, what limits it, what would improve it. The calibration's own
     equations tell it, for views projected from the drawing. Exit code 1 where such a site cannot
     be calibrated.
     """

@@ -19,7 +19,14 @@ from drivers.protocols import Role
     epilog="\b\nExample:\n  dcam-ctl preview\n"
     "  ssh -L 8765:localhost:8765 pier-3 dcam-ctl preview    then http://localhost:8765/aim",
 )
-@click.option("--port", type=click.IntRange(0, 65535), default=8765, show_default=True)
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=8765,
+    show_default=True,
+    metavar="PORT",
+    help="Of the page; 0 takes any that is free.",
+)
 @click.option(
     "--interval",
     "interval_s",
