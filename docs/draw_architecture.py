@@ -1,8 +1,8 @@
 """Draw docs/images/architecture.svg from the code: `make picture` (needs Debian's graphviz).
 
-Rooms, floors and what each room is for are read from the import contracts, the imports and the
-docstrings, so the picture shows what is and not what was meant. A test holds the stored picture
-against the code of the day.
+Packages, floors and what each package is for are read from the import contracts, the imports
+and the docstrings, so the picture shows what is and not what was meant. A test holds the stored
+picture against the code of the day.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ import grimp
 ROOT = Path(__file__).parents[1]
 PICTURE = ROOT / "docs/images/architecture.svg"
 LAYERS = {"daemon": "#fff3d6", "drivers": "#dcebf7", "core": "#e2f0dc"}
-"""Top to bottom, and the colour of their rooms."""
+"""Top to bottom, and the colour of their packages."""
 WIDTH = 26
-"""Characters in a line of a room."""
+"""Characters in a line of a package."""
 
 
-def floors(package: str) -> list[list[str]]:
-    """The floors of a package, top to bottom: the names in each, as the contract has them."""
+def floors(layer: str) -> list[list[str]]:
+    """The floors of a layer, top to bottom: the names in each, as the contract has them."""
     config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     contracts = config["tool"]["importlinter"]["contracts"]
-    (contract,) = (c for c in contracts if c.get("containers") == [package])
+    (contract,) = (c for c in contracts if c.get("containers") == [layer])
     return [[name.strip() for name in floor.split("|")] for floor in contract["layers"]]
 
 
-def rooms(package: str) -> dict[str, tuple[str, ...]]:
+def packages(layer: str) -> dict[str, tuple[str, ...]]:
     """What is drawn as a box: each folder, and the single modules of a floor together."""
     found: dict[str, tuple[str, ...]] = {}
-    for floor in floors(package):
-        single = tuple(name for name in floor if (ROOT / package / f"{name}.py").exists())
+    for floor in floors(layer):
+        single = tuple(name for name in floor if (ROOT / layer / f"{name}.py").exists())
         for name in floor:
             if name not in single:
                 found[name] = (name,)
@@ -46,26 +46,26 @@ def rooms(package: str) -> dict[str, tuple[str, ...]]:
     return found
 
 
-def purpose(package: str, room: str) -> str:
+def purpose(layer: str, package: str) -> str:
     """The first sentence of a folder's docstring."""
-    file = ROOT / package / room / "__init__.py"
+    file = ROOT / layer / package / "__init__.py"
     if not file.exists():
         return ""
     text = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
     return text.split("\n\n")[0].replace("\n", " ")
 
 
-def arrows(graph: grimp.ImportGraph, package: str) -> set[tuple[str, str]]:
-    """(importer, imported) rooms; an arrow that follows from two others is left out."""
-    of = {name: room for room, names in rooms(package).items() for name in names}
+def arrows(graph: grimp.ImportGraph, layer: str) -> set[tuple[str, str]]:
+    """(importer, imported) packages; an arrow that follows from two others is left out."""
+    of = {name: package for package, names in packages(layer).items() for name in names}
     found = set()
     for module in graph.modules:
         parts = module.split(".")
-        if parts[0] != package or len(parts) == 1:
+        if parts[0] != layer or len(parts) == 1:
             continue
         for imported in graph.find_modules_directly_imported_by(module):
             there = imported.split(".")
-            if there[0] == package and len(there) > 1 and of[parts[1]] != of[there[1]]:
+            if there[0] == layer and len(there) > 1 and of[parts[1]] != of[there[1]]:
                 found.add((of[parts[1]], of[there[1]]))
     reach = {a: {b for x, b in found if x == a} for a, _ in found}
 
@@ -75,12 +75,12 @@ def arrows(graph: grimp.ImportGraph, package: str) -> set[tuple[str, str]]:
     return {(a, b) for a, b in found if not any(c != b and reaches(c, b) for c in reach[a])}
 
 
-def label(package: str, room: str) -> str:
-    """The room's name in bold and what it is for."""
-    lines = textwrap.wrap(purpose(package, room), WIDTH)
+def label(layer: str, package: str) -> str:
+    """The package's name in bold and what it is for."""
+    lines = textwrap.wrap(purpose(layer, package), WIDTH)
     if not lines:
-        return "<" + "<br/>".join(textwrap.wrap(room, WIDTH + 6)) + ">"
-    return f"<<b>{room}</b><br/>" + "<br/>".join(lines) + ">"
+        return "<" + "<br/>".join(textwrap.wrap(package, WIDTH + 6)) + ">"
+    return f"<<b>{package}</b><br/>" + "<br/>".join(lines) + ">"
 
 
 def picture_source() -> str:
@@ -92,21 +92,19 @@ def picture_source() -> str:
         'graph [fontname="Helvetica" fontsize=13 nodesep=0.18 ranksep=0.3 compound=true]',
         'edge [color="#00000060" arrowsize=0.6]',
     ]
-    for package, colour in LAYERS.items():
-        out.append(f'subgraph cluster_{package} {{ label="{package}/" style=rounded color=gray')
-        boxes = rooms(package)
+    for layer, colour in LAYERS.items():
+        out.append(f'subgraph cluster_{layer} {{ label="{layer}/" style=rounded color=gray')
+        boxes = packages(layer)
         out += [
-            f'"{package}/{room}" [label={label(package, room)} fillcolor="{colour}"]'
-            for room in boxes
+            f'"{layer}/{package}" [label={label(layer, package)} fillcolor="{colour}"]'
+            for package in boxes
         ]
-        for floor in floors(package):
-            here = [room for room, names in boxes.items() if set(names) & set(floor)]
-            out.append("{ rank=same " + " ".join(f'"{package}/{room}"' for room in here) + " }")
-        tops = [next(r for r, n in boxes.items() if set(n) & set(f)) for f in floors(package)]
-        out += [
-            f'"{package}/{a}" -> "{package}/{b}" [style=invis weight=9]' for a, b in pairwise(tops)
-        ]
-        out += [f'"{package}/{a}" -> "{package}/{b}"' for a, b in sorted(arrows(graph, package))]
+        for floor in floors(layer):
+            here = [package for package, names in boxes.items() if set(names) & set(floor)]
+            out.append("{ rank=same " + " ".join(f'"{layer}/{package}"' for package in here) + " }")
+        tops = [next(r for r, n in boxes.items() if set(n) & set(f)) for f in floors(layer)]
+        out += [f'"{layer}/{a}" -> "{layer}/{b}" [style=invis weight=9]' for a, b in pairwise(tops)]
+        out += [f'"{layer}/{a}" -> "{layer}/{b}"' for a, b in sorted(arrows(graph, layer))]
         out.append("}")
     out.append("}")
     return "\n".join(out) + "\n"

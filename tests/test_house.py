@@ -41,15 +41,15 @@ CORE_MAY_NOT_CALL = {
 
 BREAKS = {
     "layers": ("core/errors.py", "import drivers.errors"),
-    "rooms-of-core": ("core/geometry/pose.py", "import core.rig.rigid"),
-    "rooms-of-daemon": ("daemon/store/rows/gaps.py", "import daemon.slots.runner"),
-    "rooms-of-store": ("daemon/store/rows/gaps.py", "import daemon.store.database"),
-    "rooms-of-drivers": ("drivers/heads/moves.py", "import drivers.sim.head_axis"),
+    "order-of-core": ("core/geometry/pose.py", "import core.rig.rigid"),
+    "order-of-daemon": ("daemon/store/rows/gaps.py", "import daemon.slots.runner"),
+    "order-of-store": ("daemon/store/rows/gaps.py", "import daemon.store.database"),
+    "order-of-drivers": ("drivers/heads/moves.py", "import drivers.sim.head_axis"),
     "core-is-pure": ("core/site.py", "import time"),
     "drivers-are-small": ("drivers/errors.py", "import sqlalchemy"),
     "migrations-stand-alone": ("migrations/__init__.py", "import daemon.store"),
     "devices-in-one-place": ("daemon/schedule.py", "import drivers.sim.world"),
-    "database-in-one-room": ("daemon/schedule.py", "import sqlalchemy"),
+    "database-in-one-package": ("daemon/schedule.py", "import sqlalchemy"),
 }
 """One forbidden import for each contract."""
 
@@ -204,7 +204,7 @@ def test_wheel_gives_both_programs(wheel: zipfile.ZipFile) -> None:
 
 
 def test_the_picture_of_the_architecture_is_that_of_the_code() -> None:
-    """`make picture` draws it; rooms, their order or their purpose have changed since."""
+    """`make picture` draws it; packages, their order or their purpose have changed since."""
     drawing = runpy.run_path(str(ROOT / "docs/draw_architecture.py"))
     today = drawing["fingerprint"](drawing["picture_source"]())
     assert today in drawing["PICTURE"].read_text(), "run make picture"

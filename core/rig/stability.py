@@ -164,7 +164,7 @@ def stability_terms(
     half_board_mm = 0.5 * site.sub_target.square_mm * site.sub_target.squares_x
     slide_px = budget.board_expansion_per_k * steel_k * half_board_mm * scale_px_per_mm
     lens_px, lens_scale = budget.main_px_per_k * lens_k, budget.main_scale_per_k * lens_k
-    feigned_px = focal_px * turn_by_sub_shift(site, sub_lens) * budget.sub_px_per_k * lens_k
+    apparent_px = focal_px * turn_by_sub_shift(site, sub_lens) * budget.sub_px_per_k * lens_k
     metres = 1e-3 * site.main_target.distance_mm
     air_mm = 1e3 * 0.5 * DN_DT_PER_K * budget.air_gradient_k_per_m * metres**2 * settled
     air_px2 = (air_mm * scale_px_per_mm) ** 2
@@ -186,7 +186,7 @@ def stability_terms(
         ),
         Term(
             f"the sub lens warming by {lens_warmed}",
-            np.diag([feigned_px**2, feigned_px**2, *zero[2:]]),
+            np.diag([apparent_px**2, apparent_px**2, *zero[2:]]),
             _SUB_LENS,
         ),
         Term(

@@ -312,10 +312,10 @@ def _say_limits(plan: Plan, predicted: PredictedAccuracy) -> None:
 
 def _say_better(plan: Plan, predicted: PredictedAccuracy) -> None:
     if not plan.improvements and plan.further is None:
-        say("no single change would better it by a tenth")
+        say("no single change would improve it by a tenth")
         return
     if plan.improvements:
-        say(f"what would better it, from {predicted.typical_mm:.4f} mm:")
+        say(f"what would improve it, from {predicted.typical_mm:.4f} mm:")
         rows = [(f"{x.typical_mm:.4f}", x.what) for x in plan.improvements]
         print_table(("1 sigma then, mm", "change"), rows)
     if plan.further is not None:

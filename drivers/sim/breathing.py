@@ -118,11 +118,11 @@ class TrueBreathing:
 def pose_by_shift(
     lens: TrueLens, camera: CameraGeometry, T_CS_WS: Pose, board: TrueBoard, shift_px: FloatArray
 ) -> FloatArray:
-    """(6,) change of the board's pose, as `Pose.perturbed` has it, that a shifted image feigns.
+    """(6,) change of the board's pose, as `Pose.perturbed` has it, that a shifted image looks like.
 
-    A lens without distortion feigns a translation only. With distortion, which shifts along with
-    the principal point, part of the shift looks like a turn: for k1 = -0.09, 4 urad in 0.02 px of a
-    6 mm lens. To first order, least squares over the corners in view.
+    Without distortion of the lens that is a translation only. With distortion, which shifts along
+    with the principal point, part of the shift looks like a turn: for k1 = -0.09, 4 urad in 0.02 px
+    of a 6 mm lens. To first order, least squares over the corners in view.
     """
     corners_mm = board.corners_mm().reshape(-1, 3)
     seen_px = lens.project(T_CS_WS.apply(corners_mm))

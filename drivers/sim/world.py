@@ -346,8 +346,8 @@ class World:
         T_CSj_WS = state.T_CSj_CS0.compose(true.T_CS_WS).compose(state.breath.T_WS0_WS)
         shift_px = state.breath.sub_shift_px
         if shift_px.any():
-            feigned = pose_by_shift(true.sub, self.site.sub, true.T_CS_WS, true.board, shift_px)
-            T_CSj_WS = T_CSj_WS.perturbed(feigned)
+            apparent = pose_by_shift(true.sub, self.site.sub, true.T_CS_WS, true.board, shift_px)
+            T_CSj_WS = T_CSj_WS.perturbed(apparent)
         return T_CSj_WS.compose(true.T_CS_WS.inverse())
 
     def _project_main(self, plate: TruePlate, state: _State, points_mm: FloatArray) -> FloatArray:

@@ -34,7 +34,7 @@ def _sigma_mm(site: Site, lens: Lens | None = None) -> float:
     return float(np.sqrt(sum(term.sigma_mm(scale) ** 2 for term in terms)))
 
 
-def test_the_budget_of_a_shifted_sub_image_is_the_turn_that_the_simulated_rig_feigns() -> None:
+def test_the_budget_of_a_shifted_sub_image_is_the_turn_that_the_simulated_rig_shows() -> None:
     """Which shifts the true corners of the board and fits the pose by finite differences."""
     site = _site(sub_px_per_k=0.02)
     geometry = World(site, SimSettings(seed=3), renders=False).geometry
@@ -43,14 +43,14 @@ def test_the_budget_of_a_shifted_sub_image_is_the_turn_that_the_simulated_rig_fe
         pose_by_shift(lens, site.sub, geometry.T_CS_WS, geometry.board, 0.2 * shift_px)[:2]
         for shift_px in np.eye(2)
     ]
-    feigned_mm = np.sqrt((np.array(shifted) ** 2).sum() / 2.0) * site.main_target.distance_mm
+    apparent_mm = np.sqrt((np.array(shifted) ** 2).sum() / 2.0) * site.main_target.distance_mm
     parameters = [lens.fx_px, lens.fy_px, 0.0, lens.cx_px, lens.cy_px, *lens.distortion]
     calibrated = Lens(np.array(parameters), LensModel.BROWN)
-    assert _sigma_mm(site, calibrated) == pytest.approx(feigned_mm, rel=0.15)
-    assert _sigma_mm(site) == pytest.approx(feigned_mm, rel=0.4)
+    assert _sigma_mm(site, calibrated) == pytest.approx(apparent_mm, rel=0.15)
+    assert _sigma_mm(site) == pytest.approx(apparent_mm, rel=0.4)
 
 
-def test_a_lens_without_distortion_feigns_no_turn() -> None:
+def test_a_lens_without_distortion_shows_no_turn() -> None:
     site = _site(sub_px_per_k=0.02)
     ideal = Lens.ideal(LensModel.RADIAL, site.sub.focal_px, site.sub.centre_px)
     assert turn_by_sub_shift(site, ideal) < 1e-12

@@ -202,7 +202,7 @@ def test_a_hidden_plate_is_not_in_the_image() -> None:
 
 
 def test_the_shift_of_the_cameras_is_common_to_all_plates() -> None:
-    """What the cameras do not share, and what a turning board feigns, shifts both plates alike.
+    """What the cameras do not share, and what a turning board looks like, shifts both plates alike.
 
     Only bending differs: it grows as the square of the distance.
     """
