@@ -15,6 +15,7 @@ from core.calibration.joint_fit import (
     reject_outlier_views,
 )
 from core.calibration.lens_selection import fit_chosen, start_from_views
+from core.calibration.motion_check import compare_with_drawing
 from core.calibration.reference_index import place_reference
 from core.calibration.report import write_report
 from core.calibration.survey_check import check_survey
@@ -99,6 +100,7 @@ def calibrate(
     placed = place_reference(seen, start.lens, site, options.board)
     if placed is not seen:
         seen = relocate_corners(placed, start.lens, options.board)
+    factor = compare_with_drawing(seen, start.lens, options)
     fit, choice = fit_chosen(seen, start, options)
     fit, bad = reject_outlier_views(fit, options)
     fit, moved = reject_moved_targets(fit, options)
@@ -110,7 +112,7 @@ def calibrate(
         choice,
         [*rejected, *outliers, *bad, *moved],
         held_out_errors_mm(fit, options),
-        check_survey(fit, site, _reference_main(views)),
+        check_survey(fit, start.lens, options, factor, _reference_main(views)),
         unreadable,
     )
     return Calibration(method, calibrated, _reference(views).moment), report

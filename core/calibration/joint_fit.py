@@ -37,6 +37,9 @@ from core.site import Site
 
 _SCALE_SIGMA = 2e-3
 """Relative: the target may be tilted, and printed to a part in a thousand."""
+_MIN_ASPECT = 0.5
+"""Of a plate's scales along its two axes: it would face 60 degrees away from the camera. Discs on
+one line have none across it."""
 _CLEAN = 0.9
 """Share of a disc's pixels that its model explains, for the disc to count. Insensitive below."""
 _OUTLIER_FACTOR, _OUTLIER_FLOOR_PX = 4.0, 0.003
@@ -101,7 +104,7 @@ class Fit:
 
 def fit_views(views: Views, start: Lens, options: FitOptions) -> Fit:
     """Fit the model to the views. Raises NotObservableError if the motions are too few."""
-    nominal, B = options.board.corners_mm, _main_scale(views, options)
+    nominal, B = options.board.corners_mm, main_scale(views, options)
     poses = [resect(start, nominal, v.board.view).pose for v in views.all]
     require_motion([p.compose(poses[0].inverse()) for p in poses[1 : 1 + len(views.rig)]])
     if options.method is Method.RIGID:
@@ -117,14 +120,23 @@ def predict_fit(
     spreads are those of the print to come. Raises NotObservableError if the motions are too few.
     """
     require_motion([p.compose(poses[0].inverse()) for p in poses[1 : 1 + len(views.rig)]])
-    return _fit_rigid(views, lens, poses, _main_scale(views, options), options, spreads)
+    return _fit_rigid(views, lens, poses, main_scale(views, options), options, spreads)
 
 
-def _main_scale(views: Views, options: FitOptions) -> FloatArray:
-    """B~ of Eq. 8 by the reference, (2, 2) px/mm."""
+def main_scale(views: Views, options: FitOptions) -> FloatArray:
+    """B~ of Eq. 8 by the reference, (2, 2) px/mm. Raises CalibrationError where it is flat."""
     discs = views.reference.discs
     centres_mm = options.site.main_target.centres_mm
-    return affine(centres_mm[discs.found], discs.points_px[discs.found])[0]
+    B = affine(centres_mm[discs.found], discs.points_px[discs.found])[0]
+    longest, shortest = np.linalg.svd(B, compute_uv=False)
+    if shortest < _MIN_ASPECT * longest:
+        msg = (
+            f"calibration: the reference shows {discs.found.sum()} of the main target's "
+            f"{len(centres_mm)} discs at the places of target.main.centres_mm, which are too few; "
+            "clear the view and take the reference again, or measure the plate"
+        )
+        raise CalibrationError(msg)
+    return B
 
 
 def _fit_rigid(

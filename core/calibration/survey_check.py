@@ -17,16 +17,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from core.arrays import FloatArray
-from core.calibration.joint_fit import MIN_LENS_VIEWS, Fit, nominal_rig, rig_prior
+from core.calibration.joint_fit import (
+    MIN_LENS_VIEWS,
+    Fit,
+    FitOptions,
+    fit_views,
+    nominal_rig,
+    rig_prior,
+)
+from core.calibration.plate_check import plate_problem
 from core.discs.disc_finder import Discs
 from core.discs.disc_mismatch import diameter_ratio
+from core.geometry.lens import Lens
 from core.images import GreyImage
 from core.rig.rigid import Rig
 from core.site import CameraGeometry, CheckerboardTarget, CirclesTarget, Site
@@ -37,6 +46,11 @@ _DOUBTFUL_SIGMAS = 2.5
 """Worth a look: by chance at one site in 16."""
 _LENS_SIGMA = 0.025
 """Relative; makers engrave focal lengths to some per cent."""
+_PRINT_TOLERANCE = 0.01
+"""Relative, of the size of a print."""
+_LINEAR = 0.05
+"""Relative: a distance drawn so much further away or nearer is too far off to be extrapolated to
+from the fit with the one drawn; the fit is repeated nearer to it."""
 _DISC_SIGMA, _EDGE_SIGMA_PX = 0.015, 0.5
 """Of a diameter: paint and overexposure widen a disc."""
 _LENS_MM, _PITCH_UM = "focal_length_mm", "pixel_pitch_um"
@@ -51,6 +65,11 @@ _SQUARE, _BOARD_DISTANCE = "target.sub.square_mm", "target.sub.distance_mm"
 def _digits(value: float) -> str:
     """Five digits, written out."""
     return f"{value:.5g}" if abs(value) < 99_999.5 else f"{value:.0f}"
+
+
+def _rounded(value: float) -> str:
+    """Three digits, written out."""
+    return f"{float(f'{value:.3g}'):.10g}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +137,22 @@ class Group:
         seen = "; ".join(q.sentence for q in self.quantities if abs(q.sigmas) >= FAR_SIGMAS)
         return f"{self._likely()}: {seen}; {self.by_hand}"
 
+    @property
+    def unlikely_print(self) -> str | None:
+        """A board that is a misprint if it is as far away as drawn; None else, or if far off."""
+        first, square_mm = self.quantities[0], self.values.get(_SQUARE)
+        if square_mm is None or abs(first.sigmas) >= _DOUBTFUL_SIGMAS:
+            return None
+        if abs(first.difference) < _PRINT_TOLERANCE:
+            return None
+        wanted_mm = square_mm * math.exp(-first.difference)
+        return (
+            f"warning: {_BOARD_DISTANCE} or {_SQUARE} is {abs(first.difference):.1%} off, and "
+            f"printers err by {_PRINT_TOLERANCE:.0%} at most; {self.by_hand}; if they are not, "
+            f"{_SQUARE} is likely {wanted_mm:.4g}; if they are, {_BOARD_DISTANCE} is likely "
+            f"{_rounded(first.seen)}, and {_SQUARE} is right"
+        )
+
     def _likely(self) -> str:
         """The fewest numbers that explain all quantities, the best explanation first."""
         for count in range(1, len(self.values)):
@@ -149,8 +184,8 @@ class Group:
             ends = sorted(
                 value * (first.seen / end) ** first.follows[key] for end in first.expected
             )
-            return f"{key} is likely {ends[0]:.3g} to {ends[1]:.3g}, not {value:.10g}"
-        return f"{key} is likely about {float(f'{value * factor:.3g}'):.10g}, not {value:.10g}"
+            return f"{key} is likely {_rounded(ends[0])} to {_rounded(ends[1])}, not {value:.10g}"
+        return f"{key} is likely about {_rounded(value * factor)}, not {value:.10g}"
 
 
 def _left_and_change(fit: tuple[float, dict[str, float]]) -> tuple[int, float]:
@@ -166,11 +201,14 @@ class SurveyCheck:
     groups: tuple[Group, ...]
     by_hand: str
     """What images cannot tell."""
+    plate: str | None = None
+    """What of the main target's drawing contradicts its image; what depends on it is left out."""
 
     @property
     def problems(self) -> list[str]:
         """Which numbers of the config contradict the images; empty if none does."""
-        return [problem for group in self.groups if (problem := group.problem) is not None]
+        problems = [self.plate, *(group.problem for group in self.groups)]
+        return [problem for problem in problems if problem is not None]
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
@@ -186,33 +224,59 @@ class SurveyCheck:
             for quantity in group.quantities
             if _DOUBTFUL_SIGMAS <= abs(quantity.sigmas) < FAR_SIGMAS
         ]
+        doubtful += [group.unlikely_print for group in self.groups if group.unlikely_print]
         return [*(quantity.sentence for quantity in self.quantities), *doubtful, self.by_hand]
 
 
-def check_survey(fit: Fit, site: Site, reference_main: GreyImage) -> SurveyCheck:
-    """Hold the config against a fit; reference_main is the main camera's reference image."""
+def check_survey(
+    fit: Fit, start: Lens, options: FitOptions, factor: float, reference_main: GreyImage
+) -> SurveyCheck:
+    """Hold the config against a fit; reference_main is the main camera's reference image.
+
+    factor is what `compare_with_drawing` gave, start the lens that it was compared with.
+    """
+    site, discs = options.site, fit.views.reference.discs
     groups = []
-    if isinstance(fit.model, Rig):
-        main_focal_px, distance = _main_distance(fit, fit.model, site)
+    plate = plate_problem(reference_main, discs, site.main_target)
+    if isinstance(fit.model, Rig) and plate is None:
+        near = site
+        if abs(math.log(factor)) > _LINEAR:
+            near = _at(factor, site)
+            fit = fit_views(fit.views, start, replace(options, site=near))
+        main_focal_px, distance = _main_distance(fit, near, site)
         groups.append(_lens("main", site.main, main_focal_px, site.main_target.distance_mm))
-        discs = _disc_diameter(reference_main, fit.views.reference.discs, site.main_target, fit.B)
-        groups.append(_main_target((distance, discs), site.main_target))
+        diameter = _disc_diameter(reference_main, discs, site.main_target, fit.B)
+        groups.append(_main_target((distance, diameter), site.main_target))
     if len(fit.views.lens) >= MIN_LENS_VIEWS:
         focal_px = float(np.sqrt(np.prod(fit.adjustment.lens.parameters[:2])))
         groups.append(_lens("sub", site.sub, focal_px, site.sub_target.distance_mm))
         groups.append(_board(fit, site.sub_target))
-    return SurveyCheck(tuple(groups), _by_hand(site))
+    return SurveyCheck(tuple(groups), _by_hand(site), plate)
 
 
-def _main_distance(fit: Fit, model: Rig, site: Site) -> tuple[float, Quantity]:
+def _at(factor: float, site: Site) -> Site:
+    """The site with its main target so many times as far away, as well surveyed."""
+    target = site.main_target
+    there = replace(
+        target,
+        distance_mm=factor * target.distance_mm,
+        distance_sigma_mm=factor * target.distance_sigma_mm,
+    )
+    return replace(site, main_target=there)
+
+
+def _main_distance(fit: Fit, near: Site, site: Site) -> tuple[float, Quantity]:
     """Focal length of the main camera by the views alone, px, and the distance that follows.
+
+    near is the site that was fitted, with a distance near the one seen.
 
     The fit holds the product of depth and scale between views and prior; r, its departure from the
     prior of variance v, is a share g = 1 - posterior variance / v of what the views alone say,
     which is r / g, with variance v / g for their difference.
     """
-    drawn, sigmas = nominal_rig(site, fit.B), rig_prior(site)
-    departure = -float(model.deviation_from(drawn)[6:8].sum())
+    drawn, sigmas = nominal_rig(near, fit.B), rig_prior(near)
+    assert isinstance(fit.model, Rig)  # noqa: S101 - the paper's model has no distance
+    departure = -float(fit.model.deviation_from(drawn)[6:8].sum())
     factor = fit.posterior.model
     prior = float((sigmas[6:8] ** 2).sum())
     share = float(np.clip(1.0 - ((factor[6] + factor[7]) ** 2).sum() / prior, 1e-3, 1.0))
@@ -220,7 +284,7 @@ def _main_distance(fit: Fit, model: Rig, site: Site) -> tuple[float, Quantity]:
     quantity = Quantity(
         "distance of the main target",
         "mm",
-        (drawn.depth_mm, drawn.depth_mm),
+        (site.main_target.distance_mm, site.main_target.distance_mm),
         seen_mm,
         math.sqrt(prior / share),
         {_DISTANCE: 1, _CENTRES: -1},
@@ -233,7 +297,7 @@ def _main_target(quantities: tuple[Quantity, ...], target: CirclesTarget) -> Gro
     return Group(
         quantities,
         {_DISTANCE: target.distance_mm, _CENTRES: 1.0, _DIAMETER: diameter_mm},
-        f"measure the plate: {_plate(target)}",
+        f"measure the plate: {_plate(target)}; check [rig] offset_main_sub_mm and its signs, too",
     )
 
 

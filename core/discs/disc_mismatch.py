@@ -7,9 +7,10 @@ from enum import Enum, auto
 
 import numpy as np
 
+from core.arrays import FloatArray
 from core.discs.blobs import Blobs, find_blobs, pyramid
 from core.discs.disc_finder import Discs
-from core.discs.disc_fit import locate_discs
+from core.discs.disc_fit import DiscFits, locate_discs
 from core.discs.layout import MIN_DISCS, DiscAssignment, Expectation, Layout, identify_discs
 from core.images import GreyImage
 from core.site import CirclesTarget
@@ -134,15 +135,39 @@ def diameter_ratio(
 
     1 where no outline can be fitted.
     """
+    nominal_px = 0.5 * target.diameters_mm[discs.found] * px_per_mm
+    fits = _located(image, discs, nominal_px)
+    if not fits.usable.any():
+        return 1.0
+    radius_px = np.sqrt(np.abs(np.linalg.det(fits.outline_px)))
+    return float(np.median((radius_px / nominal_px)[fits.usable]))
+
+
+def drawn_outlines(
+    image: GreyImage, discs: Discs, target: CirclesTarget, px_per_mm: FloatArray
+) -> FloatArray:
+    """(k, 2, 2) outlines of the discs that were found, in units of their drawn radii.
+
+    A matrix takes the unit circle to the outline, on the plate with x right and y up. px_per_mm
+    (2, 2) takes places on the plate to the image. Only outlines that can be fitted are given.
+    """
     found = discs.found
-    nominal_px = 0.5 * target.diameters_mm[found] * px_per_mm
+    radii_mm = 0.5 * target.diameters_mm[found]
+    nominal_px = radii_mm * np.sqrt(abs(np.linalg.det(px_per_mm)))
+    fits = _located(image, discs, nominal_px)
+    outlines = np.linalg.solve(px_per_mm, fits.outline_px) / radii_mm[:, None, None]
+    return np.asarray(outlines[fits.usable])
+
+
+def _located(image: GreyImage, discs: Discs, nominal_px: FloatArray) -> DiscFits:
+    """The outlines of the discs that were found, from the first size that leads to some."""
     for start in _OUTLINE_STARTS:
         outline_px = start * nominal_px[:, None, None] * np.eye(2)
-        fits = locate_discs(image.pixels, image.saturation_dn, discs.points_px[found], outline_px)
+        points_px = discs.points_px[discs.found]
+        fits = locate_discs(image.pixels, image.saturation_dn, points_px, outline_px)
         if fits.usable.any():
-            radius_px = np.sqrt(np.abs(np.linalg.det(fits.outline_px)))
-            return float(np.median((radius_px / nominal_px)[fits.usable]))
-    return 1.0
+            break
+    return fits
 
 
 def _all_found(blobs: Blobs, layout: Layout) -> DiscAssignment | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -74,3 +75,32 @@ def test_squares_of_another_size_do_not_pass(quick: Session) -> None:
     assert not report.passed
     assert "target.sub.square_mm is likely about 2, not 3" in report.lines[0]
     assert "22 x 15 squares are 66.0 x 45.0 mm" in report.lines[0]
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.4])
+def test_a_distance_that_is_far_off_is_named_with_the_true_one(
+    quick: Session, factor: float
+) -> None:
+    """Neither extrapolated from far away, nor the focal length blamed for it."""
+    drawn_mm = factor * quick.site.main_target.distance_mm
+    target = replace(quick.site.main_target, distance_mm=drawn_mm)
+    _, report = calibrate(quick.views, replace(quick.site, main_target=target))
+    assert not report.passed
+    found = re.search(r"main\.distance_mm is likely about (\d+), not", report.lines[0])
+    assert found is not None
+    true_mm = quick.world.site.main_target.distance_mm
+    assert float(found[1]) == pytest.approx(true_mm, rel=0.01)
+    assert "focal_length_mm" not in report.lines[0]
+
+
+def test_a_board_beyond_what_printers_do_is_a_warning(quick: Session) -> None:
+    """3 % may be its distance, which is known to 2 %: what to measure is said."""
+    target = replace(quick.site.sub_target, square_mm=2.06)
+    _, report = calibrate(quick.views, replace(quick.site, sub_target=target))
+    (warning,) = [line for line in report.lines if line.startswith("warning: target.sub.")]
+    assert "printers err by 1% at most" in warning
+    assert "22 x 15 squares are 45.3 x 30.9 mm" in warning
+    found = re.search(r"square_mm is likely ([\d.]+);", warning)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(2.0, rel=0.01)
+    assert not any(line.startswith("warning: target.sub.") for line in quick.report.lines)
