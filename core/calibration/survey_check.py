@@ -181,10 +181,11 @@ class Group:
             return f"{key} should likely all be {factor:.3g} times as large"
         first = self.quantities[0]
         if first.expected[0] < first.expected[1]:
-            ends = sorted(
+            low, high = sorted(
                 value * (first.seen / end) ** first.follows[key] for end in first.expected
             )
-            return f"{key} is likely {_rounded(ends[0])} to {_rounded(ends[1])}, not {value:.10g}"
+            low, high = low * math.exp(-first.sigma), high * math.exp(first.sigma)
+            return f"{key} is likely {_rounded(low)} to {_rounded(high)}, not {value:.10g}"
         return f"{key} is likely about {_rounded(value * factor)}, not {value:.10g}"
 
 
