@@ -62,35 +62,68 @@ def read_record(
     What the quality ledger excludes is left out unless `with_excluded`.
     Raises UsageError for a name that is none, WorkFailedError without any row, StoreError.
     """
-    _require_point(path, since, until, point)
-    chosen = _channels(path, since, until, readings)
-    sensors = [sensor for sensor in chosen if isinstance(sensor, Sensor)]
-    exclusion = read_exclusion(path, point, with_excluded=with_excluded)
-    times, values, said = [], [], []
+    reader = RecordReader(
+        path, since, until, point=point, readings=readings, with_excluded=with_excluded
+    )
     for rows in read_columns(path, since, until, tell):
-        times.append(utc_array(rows.values["slot_utc"]).astype("datetime64[s]").astype(np.float64))
-        values.append(_values(rows, point, exclusion))
+        reader.add(rows)
+    return reader.record()
+
+
+class RecordReader:
+    """A point's record, put together of rows as they are read, for whoever reads them anyway."""
+
+    def __init__(
+        self,
+        path: Path,
+        since: datetime,
+        until: datetime,
+        *,
+        point: str = MAIN,
+        readings: Sequence[str] = (),
+        with_excluded: bool = False,
+    ) -> None:
+        """Look for the point and the readings in the span, as `read_record` does; it may raise."""
+        _require_point(path, since, until, point)
+        self._path, self._point = path, point
+        self._chosen = _channels(path, since, until, readings)
+        self._sensors = [sensor for sensor in self._chosen if isinstance(sensor, Sensor)]
+        self._exclusion = read_exclusion(path, point, with_excluded=with_excluded)
+        self._times: list[FloatArray] = []
+        self._values: list[FloatArray] = []
+        self._said: list[FloatArray] = []
+
+    def add(self, rows: Columns) -> None:
+        """Take rows, in the order of their slots."""
+        seconds = utc_array(rows.values["slot_utc"]).astype("datetime64[s]")
+        self._times.append(seconds.astype(np.float64))
+        self._values.append(_values(rows, self._point, self._exclusion))
+        sensors = self._sensors
         by_sensor = sensor_columns(rows.values["readings"], sensors) if sensors else {}
         columns = [
             by_sensor[one.column] if isinstance(one, Sensor) else rows.values[CAMERAS[one]]
-            for one in chosen
+            for one in self._chosen
         ]
-        said.append(np.array(columns, dtype=np.float64).T.reshape(len(rows), len(chosen)))
-    if not times:
-        msg = f"{path}: no row in this span"
-        raise WorkFailedError(msg)
-    channels = tuple(
-        Channel(one.name, one.unit) if isinstance(one, Sensor) else Channel(one, CELSIUS)
-        for one in chosen
-    )
-    return Record(
-        point,
-        np.concatenate(times),
-        np.vstack(values),
-        np.vstack(said),
-        channels,
-        exclusion.found(),
-    )
+        said = np.array(columns, dtype=np.float64).T
+        self._said.append(said.reshape(len(rows), len(self._chosen)))
+
+    def record(self) -> Record:
+        """Give what was taken. Raises WorkFailedError without any row."""
+        if not self._times:
+            msg = f"{self._path}: no row in this span"
+            raise WorkFailedError(msg)
+        channels = tuple(
+            Channel(one.name, one.unit) if isinstance(one, Sensor) else Channel(one, CELSIUS)
+            for one in self._chosen
+        )
+        return Record(
+            self._point,
+            np.concatenate(self._times),
+            np.vstack(self._values),
+            np.vstack(self._said),
+            channels,
+            self._exclusion.found(),
+        )
 
 
 def _values(rows: Columns, point: str, exclusion: Exclusion) -> FloatArray:

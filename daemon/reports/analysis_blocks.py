@@ -7,13 +7,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 
-from daemon.analysis.record import read_record
+from daemon.analysis.record import RecordReader
 from daemon.analysis.sentences import sentences
 from daemon.analysis.study import Asked, Study, study
 from daemon.errors import WorkFailedError
 from daemon.reports.document import Block, Bullets, Heading, Text, table
 from daemon.reports.sections import Words
-from daemon.store.database import Store
 from daemon.store.queries.columns import Tell
 
 MOST_DAYS = 62
@@ -28,20 +27,23 @@ class Studies:
     x: Study
 
 
-def read_studies(
-    store: Store,
+def make_studies(
+    reader: RecordReader,
     span: tuple[datetime, datetime],
     period_s: int,
     words: Words,
     tell: Tell = lambda _done, _total: None,
 ) -> Studies | None:
-    """Read the rows once more and analyse both axes; None without any row. Raises StoreError."""
+    """Analyse both axes of the rows that the reader has taken; None without any row."""
     try:
-        record = read_record(store.path, *span, tell=tell)
+        record = reader.record()
     except WorkFailedError:
         return None
-    y, x = (study(record, Asked(axis=axis, zone=words.zone), span, period_s) for axis in "yx")
-    return Studies(y, x)
+    studies = {}
+    for done, axis in enumerate("yx"):
+        tell(done, 2)
+        studies[axis] = study(record, Asked(axis=axis, zone=words.zone), span, period_s)
+    return Studies(**studies)
 
 
 def analysis_blocks(studies: Studies | None, words: Words) -> Iterator[Block]:

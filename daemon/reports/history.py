@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
@@ -129,11 +129,12 @@ def read_history(
     offset_s: int,
     tell: Tell,
     without_excluded: bool = False,
+    also: Callable[[Columns], None] = lambda _rows: None,
 ) -> History:
     """Read what there is from `since` to `until`.
 
-    `without_excluded` leaves what the quality ledger excludes out of the series. Raises StoreError,
-    WorkFailedError if nothing is there.
+    `without_excluded` leaves what the quality ledger excludes out of the series. `also` is given
+    the rows as they are read, whole. Raises StoreError, WorkFailedError if nothing is there.
     """
     since_utc, until_utc = recorded_span(store, since, until)
     coverage = store.coverage(since_utc, until_utc, period_s=period_s, offset_s=offset_s)
@@ -157,6 +158,7 @@ def read_history(
         drawn.add(_without(rows, hidden), readings)
         summary.add(rows)
         said.add(readings)
+        also(rows)
     return History(
         since_utc=since_utc,
         until_utc=until_utc,

@@ -10,9 +10,10 @@ from pathlib import Path
 
 from jinja2 import Environment, StrictUndefined
 
+from daemon.analysis.record import RecordReader
 from daemon.config.reading import Installation
 from daemon.reports import sections
-from daemon.reports.analysis_blocks import Studies, analysis_blocks, read_studies
+from daemon.reports.analysis_blocks import Studies, analysis_blocks, make_studies
 from daemon.reports.beside_reference import Beside, read_beside
 from daemon.reports.document import Block, Document
 from daemon.reports.history import History, read_history
@@ -23,6 +24,7 @@ from daemon.status.verdict import judge
 from daemon.store.database import Store
 from daemon.store.ledger.entries import read_ledger
 from daemon.store.queries.columns import Tell
+from daemon.store.recorded_span import recorded_span
 
 _TEMPLATE = Path(__file__).with_name("document.html.j2")
 
@@ -62,22 +64,22 @@ def make_report(
     WorkFailedError if there are no slots or the reference cannot be used.
     """
     schedule = site.config.schedule
+    span = recorded_span(store, plan.since, plan.until)
+    reader = RecordReader(store.path, *span)
     history = read_history(
         store,
-        plan.since,
-        plan.until,
+        *span,
         period_s=schedule.period_s,
         offset_s=schedule.offset_s,
         tell=tell,
+        also=reader.add,
     )
     beside = None
     if plan.reference is not None:
-        span = history.since_utc, history.until_utc
         beside = read_beside(store.path, plan.reference, plan.zero, plan.window_s, *span)
     begin("analysing")
     words = sections.Words(plan.zone)
-    whole = history.since_utc, history.until_utc
-    studies = read_studies(store, whole, schedule.period_s, words, tell)
+    studies = make_studies(reader, span, schedule.period_s, words, tell)
     begin("checking the uncertainty")
     statement = _statement(site, store, history, plan, tell)
     begin("drawing")
