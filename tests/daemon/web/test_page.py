@@ -10,11 +10,14 @@ import threading
 from datetime import timedelta
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Route, expect
 
 from benchmarks.page_record import MINUTE, PEAK_MM
+from daemon.preview.snapshot import DETAIL_PX
 from daemon.store.database import open_store
 from daemon.times import slot_text
 from daemon.web.follower import Follower
@@ -263,6 +266,34 @@ class TestOtherPages:
         visit.page.get_by_role("button", name="Show single pixels").click()
         expect(pixels).to_be_visible()
         assert pixels.evaluate("node => node.naturalWidth") > 0
+
+    @pytest.mark.parametrize("width_px", [320, 390, 700, 1000])
+    def test_single_pixels_are_never_made_smaller_but_cut_about_the_middle(
+        self, visit: Visit, width_px: int
+    ) -> None:
+        """Where the window is too narrow for all of them; and it need not be scrolled sideways."""
+        noise = np.random.default_rng(5).integers(0, 255, (DETAIL_PX, DETAIL_PX), dtype=np.uint8)
+        png = cv2.imencode(".png", noise)[1].tobytes()
+        visit.page.route(
+            "**/aim/*_detail.png*", lambda route: route.fulfill(body=png, content_type="image/png")
+        )
+        visit.page.set_viewport_size({"width": width_px, "height": 900})
+        visit.go("/aim")
+        visit.page.get_by_role("button", name="Show single pixels").click()
+        for role in ("main", "sub"):
+            camera = visit.page.locator(f"[data-camera={role}]")
+            pixels = camera.get_by_role("img", name="pixel for pixel")
+            expect(pixels).to_have_js_property("naturalWidth", DETAIL_PX)
+            shot = np.array(Image.open(io.BytesIO(pixels.screenshot(scale="css"))).convert("L"))
+            drawn = shot[2:-2, 2:-2]  # the edge may lie between two pixels of the screen
+            height, width = drawn.shape
+            assert min(height, width) > 250
+            match = cv2.matchTemplate(noise, drawn, cv2.TM_SQDIFF)
+            top, left = np.unravel_index(match.argmin(), match.shape)
+            assert match.min() < height * width, "not pixel for pixel"
+            assert top + height / 2 == pytest.approx(DETAIL_PX / 2, abs=1)
+            assert left + width / 2 == pytest.approx(DETAIL_PX / 2, abs=1)
+        assert visit.page.evaluate("document.documentElement.scrollWidth") <= width_px
 
 
 class TestPictures:
