@@ -32,10 +32,13 @@ class LensVerdict:
     fields: dict[str, Any]
 
 
-def judge_lens(frames: FrameSet, site: Site, on_step: Callable[[str], None]) -> LensVerdict:
+def judge_lens(
+    frames: FrameSet, site: Site, on_step: Callable[[str], None], begin: Callable[[str], None]
+) -> LensVerdict:
     """Calibrate the sub-camera's lens on the lens views of a frame set.
 
-    Raises CalibrationError when too few of them fit together.
+    on_step hears of each view that was read, begin of the fit. Raises CalibrationError when too
+    few of them fit together.
     """
     images: list[GreyImage] = []
     rows: list[FrameSetRow] = []
@@ -50,10 +53,10 @@ def judge_lens(frames: FrameSet, site: Site, on_step: Callable[[str], None]) -> 
             images.append(image)
             rows.append(row)
         on_step(f"read {format_slot(row.slot_utc)}")
+    begin("fitting the lens")
     calibration = calibrate_lens(
         images, Board.nominal(site.sub_target), site.sub, model=site.lens_model
     )
-    on_step("calibrated")
     left_out += [f"{rows[k].sub}: {reason}" for k, reason in calibration.rejected]
     return _verdict(calibration, site, left_out)
 

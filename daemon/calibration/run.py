@@ -30,7 +30,9 @@ from drivers.frameset import FrameSet, FrameSetRow, format_slot, read_frame_set
 from drivers.protocols import Role
 
 OnStep = Callable[[str], None]
-"""Called with what has just been done, once for each view and once for the calibration."""
+"""Called with what has just been done, once for each view."""
+Begin = Callable[[str], None]
+"""Called with what begins and cannot be counted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,14 +75,15 @@ def calibrate_frames(
     site: Site,
     method: Method,
     on_step: OnStep = lambda _: None,
+    begin: Begin = lambda _: None,
     *,
     skew: bool = False,
 ) -> CalibrationRun:
     """Calibrate on all views of a frame set that can be read.
 
-    A lens or rig view with a damaged image is left out, and the report says so; without the
-    reference there is no zero. Raises FrameSetError, ImageError, CalibrationError,
-    NotObservableError.
+    on_step hears of each view that was read, begin of the fit. A lens or rig view with a damaged
+    image is left out, and the report says so; without the reference there is no zero. Raises
+    FrameSetError, ImageError, CalibrationError, NotObservableError.
     """
     views: list[CalibrationView] = []
     left_out: list[str] = []
@@ -92,8 +95,8 @@ def calibrate_frames(
                 raise
             left_out.append(str(error))
         on_step(f"read {format_slot(row.slot_utc)}")
+    begin("fitting lens, board and rig")
     calibration, report = calibrate(views, site, method, skew=skew, unreadable=left_out)
-    on_step("calibrated")
     rows = {_view_name(row): row for row in frames.rows}
     rejected = tuple(rows[entry["view"]] for entry in report.figures["rejected"])
     reference = _new_reference(frames, views, calibration)

@@ -42,8 +42,8 @@ def calibrate_on(
 ) -> tuple[CalibrationRun, datetime]:
     """Calibrate on a frame set; give the result, and when it was made."""
     frames = views_in(directory)
-    with progress(len(frames.rows) + 1, "calibrating") as steps:
-        run = calibrate_frames(frames, config.site(), method, steps.next, skew=skew)
+    with progress(len(frames.rows), "reading views") as steps:
+        run = calibrate_frames(frames, config.site(), method, steps.next, steps.begin, skew=skew)
     run = with_circumstances(run, frames, config, serials_of(directory))
     return run, datetime.now(UTC)
 

@@ -37,8 +37,8 @@ def calibrate_intrinsics(
     if not views:
         msg = f"{directory}: holds no lens views (rows of role intrinsics)"
         raise UsageError(msg)
-    with progress(len(views) + 1, "calibrating the lens") as steps:
-        figures = judge_lens(frames, config.site(), steps.next)
+    with progress(len(views), "reading views") as steps:
+        figures = judge_lens(frames, config.site(), steps.next, steps.begin)
     if as_json:
         print_json({"command": "calibrate", "frames": directory, **figures.fields})
     else:

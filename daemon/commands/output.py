@@ -7,6 +7,7 @@ import os
 import shutil
 import sys
 import threading
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, tzinfo
@@ -237,7 +238,11 @@ class _Lines:
     """How far a work has come, in lines of their own: for pipes, logs and cron."""
 
     def __init__(self, total: int | None, what: str, *, each: bool) -> None:
-        self._work, self._step, self._each = what, "", each
+        self._each = each
+        self._start(what, total)
+
+    def _start(self, what: str, total: int | None) -> None:
+        self._work, self._step, self._begun_s = what, "", time.monotonic()
         self._done, self._total = 0, total
 
     def next(self, what: str | None = None) -> None:
@@ -248,14 +253,16 @@ class _Lines:
                 self.tell()
 
     def begin(self, what: str) -> None:
-        self._work, self._step = what, ""
-        self._done, self._total = 0, None
+        self._start(what, None)
 
     def at(self, done: int, total: int | None) -> None:
         self._done, self._total = done, total
 
     def tell(self) -> None:
-        """Write a line."""
+        """Write a line; of work in which nothing is counted, how long it has taken."""
+        if self._total is None and not self._done:
+            note(f"{self._work}, {time.monotonic() - self._begun_s:.0f} s so far")
+            return
         size = "" if self._total is None else f" of {self._total}"
         step = f": {self._step}" if self._step else ""
         note(f"{self._work}, {self._done}{size}{step}")
@@ -297,7 +304,8 @@ class _Bar:
         self._bar.advance(self._task)
 
     def begin(self, what: str) -> None:
-        self._bar.reset(self._task, description=what)
+        self._bar.remove_task(self._task)  # reset would keep its size
+        self._task = self._bar.add_task(what, total=None)
 
     def at(self, done: int, total: int | None) -> None:
         self._bar.update(self._task, completed=done, total=total)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import sqlite3
 from contextlib import closing
@@ -14,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 
+from daemon.commands import output
 from daemon.config.reading import load_config
 from daemon.store.database import open_store, open_store_readonly
 from drivers.frameset import encode_png, format_slot, read_frame_set, write_table
@@ -91,6 +93,17 @@ def test_damaged_lens_and_rig_views_are_left_out_and_named(
         assert reason in said
 
 
+def test_a_slow_run_says_on_a_pipe_that_it_fits_and_for_how_long(
+    ctl: Ctl, bench: Path, brief: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(output, "LINE_PERIOD_S", 0.005)
+    ran = calibrate(ctl, bench, tmp_path / "state", brief)
+    assert ran.code == 0, ran.err
+    assert re.search(
+        r"^dcam-ctl: fitting lens, board and rig, \d+ s so far$", ran.err, re.MULTILINE
+    )
+
+
 def test_method_paper_on_pan_and_tilt_alone_is_not_made_active(
     ctl: Ctl, bench: Path, brief: Path, tmp_path: Path
 ) -> None:
@@ -127,7 +140,8 @@ def test_pan_alone_is_refused_and_tilt_is_asked_for(
     ran = calibrate(ctl, bench, tmp_path / "state", own_set, "--method", method, "--accept")
     assert ran.code == 1
     # A slow run says on a pipe how far it is.
-    errors = [line for line in ran.err.splitlines() if "calibrating, " not in line]
+    slow = ("reading views, ", " s so far")
+    errors = [line for line in ran.err.splitlines() if not any(word in line for word in slow)]
     assert len(errors) == 1
     assert "missing motion: tilt" in errors[0]
     with open_store_readonly(tmp_path / "state") as store:

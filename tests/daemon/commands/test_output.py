@@ -170,6 +170,8 @@ with output.progress(21, "taking views", each=sys.argv[2] == "each") as steps:
     steps.begin("rows")
     steps.at(300, 4000)
     sys.stdin.readline()
+    steps.begin("fitting")
+    sys.stdin.readline()
 """
 
 
@@ -197,17 +199,31 @@ def test_long_work_says_on_a_pipe_now_and_then_how_far_it_is() -> None:
         while "300" not in seen[-1]:
             seen.append(work.stderr.readline())
         assert seen[-1] == "dcam-ctl: rows, 300 of 4000\n"
+        print(file=work.stdin, flush=True)
+        while "fitting" not in seen[-1]:
+            seen.append(work.stderr.readline())
+        first = seconds_so_far(seen[-1])
+        while seconds_so_far(seen[-1]) == first:
+            seen.append(work.stderr.readline())
+        assert seconds_so_far(seen[-1]) > first
         work.communicate("\n")
         assert work.returncode == 0
     assert not any("\r" in line for line in seen)
 
 
+def seconds_so_far(line: str) -> int:
+    """How long the fit has taken, which counts nothing."""
+    told = re.fullmatch(r"dcam-ctl: fitting, (\d+) s so far\n", line)
+    assert told is not None, line
+    return int(told[1])
+
+
 def test_each_named_step_has_a_line_where_that_is_wanted_and_short_work_is_silent() -> None:
     with running(3600.0, "each") as work:
-        _, err = work.communicate("\n\n")
+        _, err = work.communicate("\n\n\n")
     assert err.splitlines() == [
         "dcam-ctl: taking views, 1 of 21: position 1 of 20",
         "dcam-ctl: taking views, 2 of 21: position 2 of 20",
     ]
     with running(3600.0, "now and then") as work:
-        assert work.communicate("\n\n")[1] == ""
+        assert work.communicate("\n\n\n")[1] == ""
