@@ -112,6 +112,12 @@ class ArchiveError(StoreError):
     exit_code: ClassVar[ExitCode] = ExitCode.HARDWARE
 
 
+class CopyError(StoreError):
+    """A copy of the database could not be written where it was wanted."""
+
+    exit_code: ClassVar[ExitCode] = ExitCode.HARDWARE
+
+
 class SlotTakenError(StoreError):
     """The slot already has a row or a stored pair; what was measured is never overwritten."""
 

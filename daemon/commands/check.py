@@ -23,7 +23,7 @@ from daemon.commands.options import Options, common_options, json_option, pass_o
 from daemon.commands.output import print_json, print_table
 from daemon.config.reading import Installation
 from daemon.config.report import ReportSection
-from daemon.errors import ExitCode, WorkFailedError
+from daemon.errors import ExitCode, HardwareError, WorkFailedError
 
 
 @click.command("check", epilog="\b\nExample:\n  dcam-ctl --config dcam.toml check --hardware")
@@ -98,7 +98,7 @@ def _check_reference(settings: ReportSection) -> Iterator[Finding]:
 
     try:
         measured = read_reference(settings.reference)
-    except WorkFailedError as error:
+    except (HardwareError, WorkFailedError) as error:
         yield failed("reference", error)
         return
     times = sum(map(len, measured.series.values()))

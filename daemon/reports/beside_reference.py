@@ -67,7 +67,10 @@ class Beside:
 def read_beside(
     path: Path, file: Path, zero: str, window_s: float, since: datetime, until: datetime
 ) -> Beside:
-    """Read a reference for figures and reports of a span. Raises StoreError, WorkFailedError."""
+    """Read a reference for figures and reports of a span.
+
+    Raises StoreError, HardwareError, WorkFailedError.
+    """
     reference = read_reference(file)
     settings = Settings(window_s, Zero(zero))
     comparisons = compare_with_reference(path, reference, settings, since, until)

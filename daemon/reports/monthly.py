@@ -11,7 +11,7 @@ from pathlib import Path
 from daemon.config.reading import Installation
 from daemon.config.report import DIRECTORY
 from daemon.durable import write_durable
-from daemon.errors import DatabaseMissingError, WorkFailedError
+from daemon.errors import DatabaseMissingError, HardwareError, WorkFailedError
 from daemon.reports.page import ReportPlan, make_report, write_html
 from daemon.reports.pdf import write_pdf
 from daemon.reports.statement import TRIALS
@@ -40,7 +40,7 @@ def write_last_month(
     """Write the last month's report unless it is there, and remove those that are too old.
 
     Gives a line for each thing done. A month without slots has none. Raises StoreError, OSError,
-    WorkFailedError.
+    HardwareError, WorkFailedError.
     """
     since, until = last_month(now or datetime.now(UTC), zone)
     name = f"{since.astimezone(zone):%Y-%m}"
@@ -67,7 +67,7 @@ def write_last_month(
         )
         try:
             report = make_report(site, store, plan)
-        except WorkFailedError as error:
+        except (HardwareError, WorkFailedError) as error:
             if plan.reference is None:
                 raise
             yield f"{name} is written without a comparison: {error}"

@@ -61,7 +61,8 @@ def make_report(
     """Read the record once and put the report together.
 
     tell hears how far a piece of work has come, begin which one begins. Raises StoreError, OSError,
-    WorkFailedError if there are no slots or the reference cannot be used.
+    WorkFailedError if there are no slots or the reference cannot be used, HardwareError if it
+    cannot be read.
     """
     schedule = site.config.schedule
     span = recorded_span(store, plan.since, plan.until)

@@ -18,7 +18,7 @@ import numpy as np
 
 from core.analysis.comparison import TimedValues
 from core.site import MAIN
-from daemon.errors import WorkFailedError
+from daemon.errors import HardwareError, WorkFailedError
 from daemon.file_errors import file_error_text
 
 MOST_BYTES = 20_000_000
@@ -44,7 +44,10 @@ class Reference:
 
 
 def read_reference(path: Path) -> Reference:
-    """Read a file. Raises WorkFailedError, which names the line and what is wrong with it."""
+    """Read a file. Raises WorkFailedError, which names the line and what is wrong with it.
+
+    Raises HardwareError for a file that cannot be read.
+    """
     kept: dict[tuple[str, str], list[tuple[float, float, float]]] = {}
     for number, line in _lines(path):
         where = f"{path}, line {number}"
@@ -99,7 +102,7 @@ def _text(path: Path) -> str:
         with path.open("rb") as file:
             content = file.read(MOST_BYTES + 1)
     except OSError as error:
-        raise WorkFailedError(file_error_text(error)) from None
+        raise HardwareError(file_error_text(error)) from None
     if len(content) > MOST_BYTES:
         msg = f"{path}: more than {MOST_BYTES // 1_000_000} MB; give fewer times, a mean an hour"
         raise WorkFailedError(msg)

@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 
 from daemon.durable import fsync_file, replacing
-from daemon.errors import TO_SALVAGE, DatabaseDamagedError, DatabaseUnwritableError, StoreError
+from daemon.errors import TO_SALVAGE, CopyError, DatabaseDamagedError, StoreError
 from daemon.store.damage_note import SET_ASIDE
 from daemon.store.sqlite import connect_readonly, is_damage, translate
 from daemon.times import stamp_text
@@ -41,7 +41,7 @@ def backup(source: Path, target: Path, tell: Tell = lambda _done, _total: None) 
     of that name. It shows the moment at which it began: the read transaction in which the steps
     are made keeps later commits out, and keeps no writer waiting (a log that grows meanwhile is
     emptied afterwards).
-    Raises DatabaseDamagedError for a damaged original, DiskFullError, DatabaseUnwritableError.
+    Raises DatabaseDamagedError for a damaged original, CopyError for what the target's place says.
     """
     if target.exists() and target.samefile(source):
         msg = f"{target}: is the database itself: choose another name"
@@ -66,10 +66,11 @@ def copy_out(
             return _copy(original, source, temporary, tell)
     except OSError as error:
         msg = f"{target}: cannot write the backup ({error.strerror}): choose another place"
-        raise DatabaseUnwritableError(msg) from error
+        raise CopyError(msg) from error
     except sqlite3.Error as error:
-        # The copy is new: damage is the original's.
-        raise translate(source if is_damage(error) else target, error) from error
+        if is_damage(error):  # the copy is new: damage is the original's
+            raise translate(source, error) from error
+        raise CopyError(str(translate(target, error))) from error
 
 
 def rescue(held: sqlite3.Connection, path: Path, now_utc: datetime) -> Path:

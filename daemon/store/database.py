@@ -359,7 +359,7 @@ class Store(WrongClock):
     def backup(self, target: Path, tell: Tell = lambda _done, _total: None) -> Copied:
         """Copy the database consistently, under the running daemon, to a checked, durable file.
 
-        Raises DatabaseUnwritableError; an older file of that name is replaced only by a whole one.
+        Raises CopyError; an older file of that name is replaced only by a whole one.
         """
         return backup(self.path, target, tell)
 

@@ -108,6 +108,16 @@ def test_a_database_in_use_and_a_directory_are_refused_even_with_force(
     assert "not a file" in ctl(*command, link).err
 
 
+def test_a_place_that_is_not_there_is_no_error_of_the_database(
+    running: Store, ctl: Ctl, tmp_path: Path
+) -> None:
+    copy = tmp_path / "nowhere" / "copy.db"
+    ran = ctl("--state", running.path.parent, "backup", copy)
+    assert ran.code == 4
+    assert ran.err.startswith(f"dcam-ctl: error: {copy}: cannot write the backup (No such file")
+    assert len(ran.err.splitlines()) == 1
+
+
 def test_a_damaged_original_is_reported_and_the_older_backup_stays(
     running: Store, ctl: Ctl, tmp_path: Path
 ) -> None:
@@ -155,6 +165,6 @@ def test_a_full_disk_is_reported_and_the_older_backup_stays(running: Store, tmp_
     if ran.returncode == 77 or "unshare" in ran.stderr:
         pytest.skip(f"no mount without root here: {ran.stderr.strip()}")
     reported, *there = ran.stderr.splitlines()
-    assert ran.returncode == 5
+    assert ran.returncode == 4
     assert reported.endswith("disk/copy.db: the disk is full: free some space")
     assert there == ["copy.db"]

@@ -147,7 +147,7 @@ def test_what_is_no_reference_is_said_in_one_line(
 def test_a_file_that_is_not_there_is_said_in_one_line(site: Site, tmp_path: Path) -> None:
     for command in ("compare", "plot --output a.svg"):
         ran = site.ctl(*command.split(), "--reference", tmp_path / "none.csv")
-        assert ran.code == 1
+        assert ran.code == 4
         assert re.search(r"none\.csv: No such file", ran.err)
 
 

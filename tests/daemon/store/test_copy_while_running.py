@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from daemon.errors import DatabaseUnwritableError, StoreError
+from daemon.errors import CopyError, StoreError
 from daemon.store.database import open_store, open_store_readonly
 from tests.daemon.store.examples import full_record, record, slot
 
@@ -59,9 +59,9 @@ def test_a_backup_that_cannot_be_written_leaves_the_older_one(
     with open_store_readonly(running) as store:
         with pytest.raises(StoreError, match="is the database itself"):
             store.backup(running / "dcam.db")
-        with pytest.raises(DatabaseUnwritableError, match="nowhere"):
+        with pytest.raises(CopyError, match="nowhere"):
             store.backup(tmp_path / "nowhere" / "copy.db")
         (tmp_path / "taken" / "inside").mkdir(parents=True)
-        with pytest.raises(DatabaseUnwritableError, match="taken: cannot write the backup"):
+        with pytest.raises(CopyError, match="taken: cannot write the backup"):
             store.backup(tmp_path / "taken")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["state", "taken"]
