@@ -27,6 +27,7 @@ from daemon.reprocessing.parts import Parts
 from daemon.slots.identity import own_identity
 from drivers.frameset import FrameSetRow, read_frame_set, write_table
 from tests.daemon.commands.conftest import Ctl, rows_of
+from tests.processes import descendants, is_alive, open_files
 from tests.programs import ran as ran_program
 from tests.waiting import wait_for
 
@@ -91,10 +92,11 @@ def test_a_worker_that_is_killed_in_the_middle_changes_no_bit(
             line = process.stderr.readline()
         first.write_bytes(shown)
         with image.open("wb"):  # returns when a worker opens it
+            wait_for(lambda: readers_of(image, process.pid), "the worker to be found")
             (worker,) = readers_of(image, process.pid)
             aside.replace(image)
             os.kill(worker, signal.SIGKILL)
-            wait_for(lambda: not running_still(worker), "the worker's end")
+            wait_for(lambda: not is_alive(worker), "the worker's end")
         _, err = process.communicate()
     assert process.returncode == 0, err
     first.unlink()
@@ -105,28 +107,9 @@ def test_a_worker_that_is_killed_in_the_middle_changes_no_bit(
     assert len(err.splitlines()) == len([line for line in err.splitlines() if "dcam-ctl:" in line])
 
 
-def running_still(pid: int) -> bool:
-    """Whether a process is there and no zombie."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
-
-
 def readers_of(file: Path, parent: int) -> list[int]:
     """The processes that a process has started, and those they have, with a file open."""
-    return [
-        pid
-        for pid in descendants(parent)
-        if any(os.path.realpath(fd) == str(file) for fd in Path(f"/proc/{pid}/fd").iterdir())
-    ]
-
-
-def descendants(pid: int) -> list[int]:
-    """The processes that a process has started, those that they have started, and so on."""
-    children = Path(f"/proc/{pid}/task").glob("*/children")
-    pids = [int(child) for each in children for child in each.read_text().split()]
-    return pids + [further for child in pids for further in descendants(child)]
+    return [pid for pid in descendants(parent) if str(file.resolve()) in open_files(pid)]
 
 
 @pytest.fixture

@@ -25,6 +25,7 @@ from tests.daemon.commands.terminals import (
     started_on,
     terminal,
 )
+from tests.processes import open_files
 from tests.programs import Program
 from tests.waiting import PATIENCE_S
 
@@ -98,7 +99,7 @@ def test_watch_looks_again_until_it_is_interrupted(site: Site) -> None:
         seen = b""
         while seen.count(b"\x1b[2J") < 3:
             seen += os.read(ours, 65536)
-        held = [str(one.readlink()) for one in Path(f"/proc/{watching.pid}/fd").iterdir()]
+        held = open_files(watching.pid)
         watching.send_signal(signal.SIGINT)
         text = all_of(ours, seen)
         code = watching.wait(PATIENCE_S)

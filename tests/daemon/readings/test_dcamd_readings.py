@@ -48,10 +48,27 @@ def run(directory: Path, config: str, *more: str) -> str:
     return done.stderr
 
 
+COUNTS_THREADS = """
+import sys, threading
+from daemon import main
+from daemon.readings.sampler import Sampler
+
+def collect_and_count(sampler, slot_utc, collect=Sampler.collect):
+    found = collect(sampler, slot_utc)
+    names = [thread.name for thread in threading.enumerate()]
+    sys.stderr.write(f"threads {names.count('readings')}\\n")
+    return found
+
+Sampler.collect = collect_and_count
+sys.exit(main.main())
+"""
+"""dcamd that says after each slot how many threads read."""
+
+
 @contextmanager
-def running(directory: Path, config: str) -> Iterator[Program]:
+def running(directory: Path, config: str, module: str | Path = "daemon.main") -> Iterator[Program]:
     (directory / "dcam.toml").write_text(SITE + config)
-    process = Program("daemon.main", *where(directory), stderr=directory / "log")
+    process = Program(module, *where(directory), stderr=directory / "log")
     try:
         yield process
     finally:
@@ -108,13 +125,14 @@ def test_sensors_that_hang_cost_no_slot(tmp_path: Path, warm: Path) -> None:
         + reading("slow", script(f"echo $$ >> {tmp_path}/pids; exec sleep 1000"), "timeout_s = 1.0")
         + REAL_TIME
     )
-    with running(tmp_path, config) as process:
-        wait_for(lambda: done_slots(tmp_path) >= 4, "four slots")
-        threads = len(list(Path(f"/proc/{process.pid}/task").iterdir()))
-        wait_for(lambda: done_slots(tmp_path) >= 6, "two more")
-        assert len(list(Path(f"/proc/{process.pid}/task").iterdir())) <= threads
+    counting = tmp_path / "dcamd.py"
+    counting.write_text(COUNTS_THREADS)
+    with running(tmp_path, config, counting) as process:
+        wait_for(lambda: done_slots(tmp_path) >= 6, "six slots")
         process.send_signal(signal.SIGTERM)
         assert process.wait(PATIENCE_S) == 0
+    threads = re.findall(r"^threads (\d+)$", (tmp_path / "log").read_text(), re.MULTILINE)
+    assert max(map(int, threads)) == 3, threads
     pids = (tmp_path / "pids").read_text().split()
     assert len(pids) >= 4
     assert not [pid for pid in pids if Path(f"/proc/{pid}").exists()]

@@ -39,6 +39,7 @@ from tests.drivers.genicam.gige.bench import (
 from tests.drivers.genicam.gige.kinds import Kind, kind_of
 from tests.drivers.genicam.gige.loopback import ADDRESSES
 from tests.drivers.genicam.gige.process import REPOSITORY, CameraProcess
+from tests.processes import is_alive, read_of
 from tests.waiting import PATIENCE_S, wait_for
 
 SERIAL = "15290000"
@@ -241,7 +242,7 @@ def test_no_process_outlives_a_program_that_was_killed(
         wait_for(lambda: bool(_workers(other.pid)), "the camera's process")
         (worker,) = _workers(other.pid)
         other.kill()
-    wait_for(lambda: not _is_alive(worker), "the end of the camera's process")
+    wait_for(lambda: not is_alive(worker), "the end of the camera's process")
 
 
 def test_ctrl_c_and_systemds_stop_leave_the_camera_to_the_program(
@@ -301,24 +302,10 @@ def _workers(parent: int | None = None) -> list[int]:
         process
         for process in (int(path.name) for path in Path("/proc").glob("[1-9]*"))
         if _parent_of(process) == (parent or os.getpid())
-        and b"drivers.genicam.gentl_worker" in _read_of(process, "cmdline")
+        and b"drivers.genicam.gentl_worker" in read_of(process, "cmdline")
     ]
 
 
-def _is_alive(process: int) -> bool:
-    """Whether it runs; a dead one that nobody has waited for does not."""
-    state = _read_of(process, "stat").rpartition(b")")[2].split()
-    return bool(state) and state[0] != b"Z"
-
-
 def _parent_of(process: int) -> int | None:
-    fields = _read_of(process, "stat").rpartition(b")")[2].split()
+    fields = read_of(process, "stat").rpartition(b")")[2].split()
     return int(fields[1]) if fields else None
-
-
-def _read_of(process: int, name: str) -> bytes:
-    """A file of the process in /proc; empty when the process has ended, also while it is read."""
-    try:
-        return Path(f"/proc/{process}/{name}").read_bytes()
-    except (FileNotFoundError, ProcessLookupError):
-        return b""
