@@ -226,7 +226,8 @@ def test_links_between_the_pages_lead_somewhere(page: Path) -> None:
 def undocumented_constants(code: str) -> list[str]:
     """Module-level names given a number, without a docstring below or a comment at or above them.
 
-    A comment above a block of assignments without a blank line stands for all of them.
+    A comment above a block of assignments without a blank line stands for all of them, but not for
+    a table of numbers further down: that has its own.
     """
     tokens = tokenize.generate_tokens(io.StringIO(code).readline)
     comments = {token.start[0] for token in tokens if token.type == tokenize.COMMENT}
@@ -235,14 +236,25 @@ def undocumented_constants(code: str) -> list[str]:
     for node, after in zip(body, [*body[1:], None], strict=True):
         if not isinstance(node, (ast.Assign, ast.AnnAssign)):
             continue
-        if node.lineno != last_line + 1 or node.lineno - 1 in comments:
-            block_has_comment = node.lineno - 1 in comments
+        above = node.lineno - 1 in comments
+        if node.lineno != last_line + 1 or above:
+            block_has_comment = above
         last_line = node.end_lineno or node.lineno
         beside = not comments.isdisjoint(range(node.lineno, last_line + 1))
         below = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
-        if has_number(node.value) and not (block_has_comment or beside or below):
+        covered = above if is_table(node) else block_has_comment
+        if has_number(node.value) and not (covered or beside or below):
             found.append(ast.unparse(node).partition(" = ")[0])
     return found
+
+
+def is_table(node: ast.Assign | ast.AnnAssign) -> bool:
+    """Whether one name gets several numbers; several names that get one each are no table."""
+    target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+    return isinstance(target, ast.Name) and any(
+        isinstance(part, (ast.Tuple, ast.List)) and sum(map(has_number, part.elts)) > 1
+        for part in ast.walk(node.value or target)
+    )
 
 
 def has_number(value: ast.expr | None) -> bool:
@@ -268,6 +280,10 @@ def test_every_constant_of_core_says_what_it_means(path: Path) -> None:
         ("# why\nA = 1\nB = 2 * A\n", []),
         ("# why\nA = 1\n\nB = 2\n", ["B"]),
         ("A, B = 1.0, np.float32(2)\n", ["A, B"]),
+        ("# why\nA = (1.0, 2.0)\nB = (0.5, -3e-4)\nB0, B1 = B\n", ["B"]),
+        ("# why\nA = 1.0\nB = np.array([0.5, -0.1])\n", ["B"]),
+        ('# why\nA = 1.0\nB = (0.5, -0.1)\n"""Why."""\n# why\nC = [1, 2]\n', []),
+        ("# why\nA = 1.0\nB, C = 2.0, 3.0\n", []),
         ('A: float = 1.0\nNAME = "x"\nFLAG = True\n', ["A: float"]),
     ],
 )

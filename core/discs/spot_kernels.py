@@ -47,9 +47,11 @@ _ON_OUTLINE, _OFF_PX, _OFF_SHARE = 0.8, 1.2, 0.05
 """So much of a contour lies nearer than this to the ellipse."""
 _SHARES = np.array([0.9, 0.8, 0.65, 0.5, 0.35, 0.2])
 """Thresholds between a spot's surroundings and its peak, from the peak down."""
-# The eight neighbours, clockwise as seen in the image, from the right.
 _DU = np.array([1, 1, 0, -1, -1, -1, 0, 1])
+"""Steps in px to the right, to the eight neighbours: clockwise as seen in the image, from the right
+one."""
 _DV = np.array([0, 1, 1, 1, 0, -1, -1, -1])
+"""The same down."""
 REGION = 7
 """Of a region: x, y, longer and shorter half axis, angle (rad), sharpness, steps of its border."""
 
