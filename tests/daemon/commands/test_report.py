@@ -7,13 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+import numpy as np
 import pytest
 
-from core.results import Flag
+from core.results import Displacement, Flag, Measurement
 from daemon.reports import history
+from daemon.reports.series import BINS
 from daemon.store.database import open_store
 from daemon.store.records import GapCause
 from tests.daemon.commands.conftest import SIMULATED, Ctl
+from tests.daemon.rows import add_rows
 from tests.daemon.store.examples import (
     BAD,
     FIXED,
@@ -132,6 +135,50 @@ def test_a_binary_table_needs_a_file(site, file_format: str) -> None:
     ran = site("export", "--format", file_format)
     assert (ran.code, ran.out) == (2, "")
     assert "give --output FILE" in ran.err
+
+
+def test_a_peak_of_one_row_of_a_long_record_is_drawn_as_high_as_it_is_and_where_it_is(
+    ctl: Ctl, tmp_path: Path
+) -> None:
+    """Of 17 rows to a column of the picture, which lie at -1 and 1 mm, one is at 9 mm."""
+    rows, peak, peak_mm = 20_000, 13_370, 9.0
+    (tmp_path / "dcam.toml").write_text(SIMULATED, encoding="utf-8")
+    low, high, highest = (record(slot(0), moved_to(y_mm)) for y_mm in (-1.0, 1.0, peak_mm))
+    with open_store(tmp_path / "state") as store:
+        add_rows(
+            store,
+            (
+                replace(highest if k == peak else high if k % 2 else low, slot_utc=slot(k))
+                for k in range(rows)
+            ),
+        )
+    paths = ("--config", tmp_path / "dcam.toml", "--state", tmp_path / "state")
+    assert ctl("plot", "--output", tmp_path / "a.svg", *paths).code == 0
+    right, down = corrected_line(tmp_path / "a.svg")
+    at_top = down < down.min() + 0.1
+    low_at, high_at = down.max(), down[~at_top].min()
+    assert (low_at - down.min()) / (low_at - high_at) == pytest.approx(
+        (peak_mm + 1.0) / 2.0, rel=0.01
+    )
+    places = (right[at_top] - right.min()) / np.ptp(right)
+    assert places == pytest.approx(peak / rows, abs=1.0 / BINS)
+
+
+def moved_to(y_mm: float) -> Measurement:
+    """A good one."""
+    moved = Displacement(np.array([0.0, y_mm]), np.diag([1e-4, 1e-4]))
+    return Measurement(Flag.GOOD, (), corrected=moved, raw=moved, motion=None)
+
+
+def corrected_line(figure: Path) -> np.ndarray:
+    """(2, n) the points of the first line of corrected values in an SVG, to the right and down."""
+    line = next(
+        path
+        for path in ET.parse(figure).getroot().iter("{http://www.w3.org/2000/svg}path")
+        if path.get("style", "").startswith("fill: none; stroke: #0072b2")
+    )
+    points = re.findall(r"[ML] (\S+) (\S+)", line.get("d", ""))
+    return np.array(points, dtype=np.float64).T
 
 
 def test_a_row_alone_between_gaps_is_drawn(ctl: Ctl, tmp_path: Path) -> None:
