@@ -182,9 +182,9 @@ def locate(positions: int, lens_views: int, seed: int, shrink: float = 1.0) -> L
         started_s = time.process_time()
         seen, rejected = find_targets(taken, site)
         start, _ = start_from_views(seen, options)
-        views = relocate_corners(seen, start.lens, options.board)
+        views, unlike = relocate_corners(seen, start.lens, options.board)
         locating_s = (time.process_time() - started_s) / len(taken)
-    names = [name for name, _ in rejected]
+    names = [name for name, _ in (*rejected, *unlike)]
     return Located(site, options, images, views, names, locating_s)
 
 

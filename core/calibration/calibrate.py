@@ -96,10 +96,11 @@ def calibrate(
     seen, rejected = find_targets(views, site)
     start, outliers = start_from_views(seen, options)
     seen = seen.without({name for name, _ in outliers})
-    seen = relocate_corners(seen, start.lens, options.board)
+    seen, unlike = relocate_corners(seen, start.lens, options.board)
     placed = place_reference(seen, start.lens, site, options.board)
     if placed is not seen:
-        seen = relocate_corners(placed, start.lens, options.board)
+        seen, more = relocate_corners(placed, start.lens, options.board)
+        unlike += more
     factor = compare_with_drawing(seen, start.lens, options)
     fit, choice = fit_chosen(seen, start, options)
     fit, bad = reject_outlier_views(fit, options)
@@ -110,7 +111,7 @@ def calibrate(
         calibrated,
         options,
         choice,
-        [*rejected, *outliers, *bad, *moved],
+        [*rejected, *outliers, *unlike, *bad, *moved],
         held_out_errors_mm(fit, options),
         check_survey(fit, start.lens, options, factor, _reference_main(views)),
         unreadable,

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import TypeVar
 
 import numpy as np
 
 from core.checkerboard.board import Board
+from core.checkerboard.board_mismatch import turned
 from core.checkerboard.corners import LocatedBoard, locate_board, refine_board
 from core.checkerboard.resection import resect
 from core.discs.disc_finder import Discs
@@ -65,6 +67,9 @@ class PairView(LensView):
     """Of the further targets, in the order of the site; None where one is not seen."""
 
 
+_View = TypeVar("_View", bound=LensView)
+
+
 @dataclass(frozen=True, slots=True)
 class Views:
     """The views with their targets found."""
@@ -95,7 +100,7 @@ def find_targets(views: Sequence[CalibrationView], site: Site) -> tuple[Views, l
     """Find the targets in all views; rig and lens views without them are rejected.
 
     Raises CalibrationError if there is not exactly one reference, if it shows too little or other
-    targets than the site's, or if there are no rig views at all.
+    targets than the site's, or if no rig view is given or can be used.
     """
     reference = _reference(views, site)
     if not any(v.role is ViewRole.RIG for v in views):
@@ -112,9 +117,27 @@ def find_targets(views: Sequence[CalibrationView], site: Site) -> tuple[Views, l
                 lens.append(_look_at_board(view, site))
         except (TargetNotFoundError, ImageError) as error:
             rejected.append((view.name, str(error)))
+    names = {view.name for view in views if view.role is ViewRole.RIG}
+    _require_rig(rig, [view for view in rejected if view[0] in names])
+    _require_mounted_rig(rig, site)
     seen = Views(reference, tuple(rig), tuple(lens))
     _require_whole_board(seen, site)
     return seen, rejected
+
+
+def _require_rig(rig: Sequence[PairView], rejected: Sequence[RejectedView]) -> None:
+    """Raise CalibrationError if no rig view is left; rejected are those that are not."""
+    if not rig:
+        name, reason = rejected[0]
+        msg = f"calibration: none of the rig views can be used; {name}: {reason}"
+        raise CalibrationError(msg)
+
+
+def _require_mounted_rig(rig: Sequence[PairView], site: Site) -> None:
+    """Raise CalibrationError if all rig views show the board turned, as a cover alone does not."""
+    if all(view.board.quarter_turns and view.board.fewer is None for view in rig):
+        reason = str(turned(rig[0].board.quarter_turns, Board.nominal(site.sub_target)))
+        _require_rig([], [(rig[0].name, reason)])
 
 
 def _require_whole_board(views: Views, site: Site) -> None:
@@ -174,13 +197,15 @@ def _look_at_both(
     return PairView(seen.name, seen.sub, seen.board, discs, further)
 
 
-def relocate_corners(views: Views, lens: Lens, board: Board) -> Views:
-    """Locate all corners again, now that the lens is known.
+def relocate_corners(views: Views, lens: Lens, board: Board) -> tuple[Views, list[RejectedView]]:
+    """Locate all corners again, now that the lens is known; rig and lens views may be rejected.
 
-    Where the border does not tell which corners a rig view shows, the reference does.
+    Where the border does not tell which corners a rig view shows, the reference does. Raises
+    CalibrationError where the reference or all rig views would be rejected.
     """
     nominal = board.corners_mm
-    reference = resect(lens, nominal, views.reference.board.view).pose
+    expected = resect(lens, nominal, views.reference.board.view).pose
+    rejected: list[RejectedView] = []
 
     def again(view: LensView) -> LocatedBoard:
         pose = resect(lens, nominal, view.board.view).pose
@@ -188,11 +213,26 @@ def relocate_corners(views: Views, lens: Lens, board: Board) -> Views:
             view.sub, lens, pose, board, nominal, unambiguous=view.board.unambiguous
         )
 
-    return Views(
-        replace(views.reference, board=again(views.reference)),
-        tuple(
-            replace(v, board=locate_board(v.sub, lens, board, nominal, reference))
-            for v in views.rig
-        ),
-        tuple(replace(v, board=again(v)) for v in views.lens),
-    )
+    def by_reference(view: LensView) -> LocatedBoard:
+        return locate_board(view.sub, lens, board, nominal, expected)
+
+    def located(views: Sequence[_View], locate: Callable[[LensView], LocatedBoard]) -> list[_View]:
+        kept = []
+        for view in views:
+            try:
+                kept.append(_with_board(view, locate(view)))
+            except TargetNotFoundError as error:
+                rejected.append((view.name, str(error)))
+        return kept
+
+    reference, rig = located([views.reference], again), located(views.rig, by_reference)
+    if not reference:
+        msg = f"reference view {views.reference.name}: {rejected[0][1]}; take the reference again"
+        raise CalibrationError(msg)
+    _require_rig(rig, rejected)
+    return Views(reference[0], tuple(rig), tuple(located(views.lens, again))), rejected
+
+
+def _with_board(view: _View, board: LocatedBoard) -> _View:
+    turns = view.board.quarter_turns  # not known to a board that was located by its pose
+    return replace(view, board=replace(board, quarter_turns=turns))

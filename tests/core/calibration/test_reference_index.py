@@ -34,7 +34,7 @@ def test_a_board_higher_than_the_image_and_off_its_middle_calibrates() -> None:
 def seen(lab: Session) -> tuple[Views, Board]:
     board = Board.nominal(lab.site.sub_target)
     views, _ = find_targets(lab.views, lab.site)
-    return relocate_corners(views, lab.calibration.calibrated.lens, board), board
+    return relocate_corners(views, lab.calibration.calibrated.lens, board)[0], board
 
 
 def _named(views: Views, board: Board, right: int, down: int) -> tuple[Views, Views]:

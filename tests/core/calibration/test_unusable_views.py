@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from core.calibration.calibrate import Method, ViewRole, calibrate
+from core.calibration.calibrate import CalibrationView, Method, ViewRole, calibrate
 from core.errors import CalibrationError, NotObservableError
 from core.images import GreyImage
+from core.site import CheckerboardTarget, Site
+from drivers.sim.settings import SimSettings
+from drivers.sim.world import World
 from tests.core.boards import BoardScene
+from tests.core.scenes import head_positions, small_site
 from tests.core.sessions import Session, all_views
+
+Change = Callable[[np.ndarray], np.ndarray]
+Views = Sequence[CalibrationView]
 
 
 def _rejected(session: Session, changes: dict[int, dict[str, object]]) -> dict[str, str]:
@@ -52,6 +60,54 @@ def test_views_that_show_too_little_are_rejected_by_name(quick: Session) -> None
     assert "the config says 22x15 squares" in reasons["lens 1"]
     assert reasons["rig 3"] == "no main image"
     assert "480x200" in reasons["rig 5"]
+
+
+def _changed(views: Views, which: Iterable[int], change: Change) -> Views:
+    """The views, the sub images of some changed."""
+    changed = list(views)
+    for k in which:
+        pixels = np.ascontiguousarray(change(views[k].sub.pixels))
+        changed[k] = replace(views[k], sub=GreyImage(pixels, views[k].sub.bits))
+    return changed
+
+
+def _mirrored(pixels: np.ndarray) -> np.ndarray:
+    return pixels[:, ::-1]
+
+
+def _turned(pixels: np.ndarray) -> np.ndarray:
+    return pixels[::-1, ::-1]
+
+
+@pytest.fixture(scope="module")
+def whole() -> tuple[Site, Views]:
+    """A site whose whole board is in the sub image: three lens views, the reference, six others."""
+    site = small_site(sub_target=CheckerboardTarget(22, 13, 2.0, 50.0))
+    world = World(site, SimSettings(seed=3))
+    return site, all_views(world, 3, head_positions(site, 6))
+
+
+@pytest.mark.parametrize("change", [_mirrored, _turned])
+def test_a_rig_view_that_is_mirrored_or_turned_is_rejected_by_name(
+    whole: tuple[Site, Views], change: Change
+) -> None:
+    site, views = whole
+    _, report = calibrate(_changed(views, [6], change), site)
+    assert report.passed
+    (said,) = [line for line in report.lines if line.startswith("rejected ")]
+    assert said.startswith("rejected rig 3: sub target: the board is seen upside down or mirrored")
+    assert "ReverseX" in said
+
+
+def test_where_all_rig_views_are_mirrored_the_first_is_named(
+    whole: tuple[Site, Views], quick: Session
+) -> None:
+    """Also where the board is larger than the image, so that each view has a place on it."""
+    said = "none of the rig views can be used; rig 1: sub target: .*upside down or mirrored"
+    for site, views in (whole, (quick.site, quick.views)):
+        rig = [k for k, view in enumerate(views) if view.role is ViewRole.RIG]
+        with pytest.raises(CalibrationError, match=said):
+            calibrate(_changed(views, rig, _mirrored), site)
 
 
 def test_a_lens_view_that_does_not_fit_is_rejected_by_name(quick: Session) -> None:
