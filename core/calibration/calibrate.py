@@ -112,6 +112,7 @@ def calibrate(
         options,
         choice,
         [*rejected, *outliers, *unlike, *bad, *moved],
+        {view.name: view for view in views},
         held_out_errors_mm(fit, options),
         check_survey(fit, start.lens, options, factor, _reference_main(views)),
         unreadable,

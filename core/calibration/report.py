@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from core.calibration.observability import (
     suggest_motion,
 )
 from core.calibration.survey_check import SurveyCheck
-from core.calibration.views import RejectedView
+from core.calibration.views import CalibrationView, RejectedView
 from core.checkerboard.resection import resect
 from core.lens.lens_choice import LensChoice
 from core.lens.lens_coverage import lens_coverage
@@ -48,13 +48,15 @@ def write_report(
     options: FitOptions,
     choice: LensChoice,
     rejected: Sequence[RejectedView],
+    given: Mapping[str, CalibrationView],
     held_out: FloatArray,
     survey: SurveyCheck,
     unreadable: Sequence[str] = (),
 ) -> CalibrationReport:
     """Judge a calibration. held_out (n, 2) are the errors in mm at held-out positions.
 
-    unreadable has the reason of each view that could not be read.
+    given are the views by name, those rejected among them; unreadable has the reason of
+    each view that could not be read.
     """
     drift = drift_errors(calibrated, options.site)
     problems = _problems(fit, calibrated, options, drift, held_out)
@@ -74,7 +76,7 @@ def write_report(
             f"rejected: {len(rejected)}"
             + (f", could not be read: {len(unreadable)}" if unreadable else "")
         ),
-        *(f"rejected {name}: {reason}" for name, reason in rejected),
+        *(f"rejected {given[name].called(reason)}: {reason}" for name, reason in rejected),
         *(f"could not be read: {reason}" for reason in unreadable),
         (
             f"corners fit to {figures['sub_rms_px']:.4f} px rms, main discs to "

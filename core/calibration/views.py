@@ -46,6 +46,12 @@ class CalibrationView:
     sub: GreyImage
     moment: Moment | None = None
     """When it was taken; needed of the reference alone."""
+    main_name: str | None = None
+    """How messages that are about its main image call it; None: as others do."""
+
+    def called(self, reason: str) -> str:
+        """Give the name to say before a reason, which begins with the target or image at fault."""
+        return self.main_name or self.name if reason.startswith("main ") else self.name
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +115,7 @@ def find_targets(views: Sequence[CalibrationView], site: Site) -> tuple[Views, l
     rig: list[PairView] = []
     lens: list[LensView] = []
     rejected: list[RejectedView] = []
+    unusable: list[RejectedView] = []
     for view in views:
         try:
             if view.role is ViewRole.RIG:
@@ -117,8 +124,9 @@ def find_targets(views: Sequence[CalibrationView], site: Site) -> tuple[Views, l
                 lens.append(_look_at_board(view, site))
         except (TargetNotFoundError, ImageError) as error:
             rejected.append((view.name, str(error)))
-    names = {view.name for view in views if view.role is ViewRole.RIG}
-    _require_rig(rig, [view for view in rejected if view[0] in names])
+            if view.role is ViewRole.RIG:
+                unusable.append((view.called(str(error)), str(error)))
+    _require_rig(rig, unusable)
     _require_mounted_rig(rig, site)
     seen = Views(reference, tuple(rig), tuple(lens))
     _require_whole_board(seen, site)
@@ -154,7 +162,7 @@ def _require_whole_board(views: Views, site: Site) -> None:
         spans = zip((i, j), fewer, strict=True)
         if any(count is not None and np.ptp(axis) + 1 > count for axis, count in spans):
             return  # something covered a border of the board in the reference
-    msg = f"reference view {views.reference.name}: {doubt}"
+    msg = f"{views.reference.name}: {doubt}"
     raise CalibrationError(msg)
 
 
@@ -166,10 +174,10 @@ def _reference(views: Sequence[CalibrationView], site: Site) -> PairView:
     try:
         seen = _look_at_both(references[0], site, mounted=True)
     except NotRecognisedError as error:
-        msg = f"reference view {references[0].name}: {error}"
+        msg = f"{references[0].called(str(error))}: {error}"
         raise CalibrationError(msg) from error
     except (TargetNotFoundError, ImageError) as error:
-        msg = f"reference view {references[0].name}: {error}; take the reference again"
+        msg = f"{references[0].called(str(error))}: {error}; take the reference again"
         raise CalibrationError(msg) from error
     return seen
 
@@ -227,7 +235,7 @@ def relocate_corners(views: Views, lens: Lens, board: Board) -> tuple[Views, lis
 
     reference, rig = located([views.reference], again), located(views.rig, by_reference)
     if not reference:
-        msg = f"reference view {views.reference.name}: {rejected[0][1]}; take the reference again"
+        msg = f"{views.reference.name}: {rejected[0][1]}; take the reference again"
         raise CalibrationError(msg)
     _require_rig(rig, rejected)
     return Views(reference[0], tuple(rig), tuple(located(views.lens, again))), rejected

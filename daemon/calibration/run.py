@@ -167,12 +167,17 @@ def _view(frames: FrameSet, row: FrameSetRow, site: Site) -> CalibrationView:
         main=_image(frames, row.main, site.main),
         sub=sub,
         moment=row_moment(row),
+        main_name=_called(row, row.main),
     )
 
 
 def _view_name(row: FrameSetRow) -> str:
     """How messages call a view; unique in a frame set, as its slot is."""
-    return f"{row.role} {format_slot(row.slot_utc)} ({row.sub})"
+    return _called(row, row.sub)
+
+
+def _called(row: FrameSetRow, image: str | None) -> str:
+    return f"{row.role} {format_slot(row.slot_utc)} ({image})"
 
 
 def _image(frames: FrameSet, name: str | None, camera: CameraGeometry) -> GreyImage | None:

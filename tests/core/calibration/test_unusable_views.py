@@ -110,6 +110,19 @@ def test_where_all_rig_views_are_mirrored_the_first_is_named(
             calibrate(_changed(views, rig, _mirrored), site)
 
 
+def test_of_a_pair_the_image_that_is_at_fault_is_named(whole: tuple[Site, Views]) -> None:
+    site, views = whole
+    called = {"name": "6 (6_sub.png)", "main_name": "6 (6_main.png)"}
+    spoilt = list(views)
+    assert views[6].main is not None
+    dark = GreyImage(np.full_like(views[6].main.pixels, 9))
+    spoilt[6] = replace(views[6], main=dark, **called)
+    _, report = calibrate(spoilt, site)
+    (said,) = [line for line in report.lines if line.startswith("rejected ")]
+    assert said.startswith("rejected 6 (6_main.png): main target: ")
+    assert [entry["view"] for entry in report.figures["rejected"]] == ["6 (6_sub.png)"]
+
+
 def test_a_lens_view_that_does_not_fit_is_rejected_by_name(quick: Session) -> None:
     """A hundredth wider than it should be: a board that was bent, or another lens."""
     reasons = _rejected(quick, {2: {"sub": _stretched(quick.views[2].sub, 1.01)}})
@@ -161,5 +174,5 @@ def test_a_reference_that_shows_nothing_is_refused_by_name(quick: Session, which
     black = GreyImage(np.zeros_like(getattr(quick.views[5], which).pixels))
     views = list(quick.views)
     views[5] = replace(views[5], **{which: black})
-    with pytest.raises(CalibrationError, match=r"reference view reference: .*again"):
+    with pytest.raises(CalibrationError, match=r"^reference: .*again"):
         calibrate(views, quick.site)

@@ -100,8 +100,8 @@ def test_targets_as_configured_are_recognised(calibrate: Calibrate) -> None:
 def test_mirrored_or_upside_down_board(calibrate: Calibrate, change: Change) -> None:
     """A board of 32 x 31 squares looks the same in both: the writing beside it tells them apart."""
     said = calibrate(same, change)
-    assert "reference view" in said
-    assert "_sub.png" in said
+    assert "dcam-ctl: error: reference 20" in said
+    assert "_sub.png)" in said
     assert "upside down or mirrored" in said
     assert "ReverseX" in said
     assert "turn the board by 180 degrees" in said
@@ -139,7 +139,8 @@ def test_main_image_not_the_right_way_round(
     calibrate: Calibrate, change: Change, what: str, cure: str
 ) -> None:
     said = calibrate(change)
-    assert "main target" in said
+    assert "dcam-ctl: error: reference 20" in said
+    assert "_main.png): main target" in said
     assert what in said
     assert cure in said
     assert "take the reference again" not in said
