@@ -15,6 +15,10 @@ class NotRecognisedError(TargetNotFoundError):
     """A target is in the image, but not as the config describes it; the message names the cure."""
 
 
+class BadLightError(TargetNotFoundError):
+    """No target can be seen in an image that is black or overexposed; the message says the cure."""
+
+
 class CalibrationError(CoreError):
     """The views given cannot make a calibration; the message names the view or what is missing."""
 

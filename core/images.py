@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +14,14 @@ from core.site import CameraGeometry
 
 _FULL_16 = float(2**16 - 1)
 """Saturated grey value of 16 bits, DN."""
+
+_BLACK, _WHITE = 0.06, 0.98
+"""Of full scale. Where nothing is brighter than the first, there is no contrast to find a target
+by; what is brighter than the second is as good as saturated. Chosen."""
+_MOST_WHITE = 0.5
+"""Share of the pixels: the white squares of a board are no more. Chosen."""
+_HOT_PX = 3
+"""A pixel that is bright alone in a square of this side is hot; it is not light."""
 
 PixelArray = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -73,3 +82,29 @@ def require_size(image: GreyImage, camera: CameraGeometry, what: str) -> None:
             f"{'' if swapped else ', or use the images of that camera'}"
         )
         raise ImageSizeError(msg)
+
+
+def light_fault(image: GreyImage, exposure: str = "exposure time") -> str | None:
+    """Say that an image is black or overexposed, and what to do; None where it is neither.
+
+    exposure is what to change, as the user calls it.
+
+    >>> light_fault(GreyImage(np.full((20, 30), 3, np.uint8))).split(";")[0]
+    'the image is black, its brightest pixel at 1.2 % of full scale'
+    >>> light_fault(GreyImage(np.full((20, 30), 255, np.uint8))).split(";")[0]
+    'the image is overexposed, 100 % of its pixels saturated'
+    """
+    full = image.saturation_dn
+    brightest = float(cv2.medianBlur(image.pixels, _HOT_PX).max()) / full
+    if brightest < _BLACK:
+        return (
+            f"the image is black, its brightest pixel at {100.0 * brightest:.1f} % of full scale; "
+            f"take the cap off the lens, light the target, or set a longer {exposure}"
+        )
+    white = float((image.pixels >= _WHITE * full).mean())
+    if white > _MOST_WHITE:
+        return (
+            f"the image is overexposed, {100.0 * white:.0f} % of its pixels saturated; less "
+            f"light, or a shorter {exposure}"
+        )
+    return None

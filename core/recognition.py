@@ -17,8 +17,8 @@ from core.checkerboard.corners import LocatedBoard, detect_board
 from core.discs.disc_finder import Discs, find_discs
 from core.discs.disc_mismatch import DiscMismatch, SeenDiscs, doubt_size, explain_discs
 from core.discs.plates import WantedPlate, find_plates
-from core.errors import NotRecognisedError, TargetNotFoundError
-from core.images import GreyImage
+from core.errors import BadLightError, NotRecognisedError, TargetNotFoundError
+from core.images import GreyImage, light_fault
 from core.site import Site
 
 _SWAP = (
@@ -35,16 +35,12 @@ _FOCAL_FACTOR = 2.0
 def recognise_discs(image: GreyImage, site: Site) -> Discs:
     """Find the main target. Raises NotRecognisedError where something explains why it is not found.
 
-    Else TargetNotFoundError.
+    BadLightError in a black or overexposed image, else TargetNotFoundError.
     """
     try:
         discs = find_discs(image, site.main_target, site.nominal_px_per_mm)
     except TargetNotFoundError as error:
-        why = _why_no_discs(image, site)
-        if why is None:
-            raise
-        msg = f"main target: {why}"
-        raise NotRecognisedError(msg) from error
+        raise _why_no_discs(image, site) or error from error
     if not discs.found.all():
         _require_no_better_way(image, site)
     return discs
@@ -72,12 +68,8 @@ def recognise_targets(
         return recognise_discs(image, site), ()
     discs, *further = find_plates(image, wanted_plates(site, before))
     if discs is None:
-        why = _why_no_discs(image, site)
-        if why is None:
-            msg = "main target: not seen among the targets of the main image"
-            raise TargetNotFoundError(msg)
-        msg = f"main target: {why}"
-        raise NotRecognisedError(msg)
+        msg = "main target: not seen among the targets of the main image"
+        raise _why_no_discs(image, site) or TargetNotFoundError(msg)
     return discs, tuple(further)
 
 
@@ -115,7 +107,7 @@ def recognise_board(image: GreyImage, site: Site) -> LocatedBoard:
         raise
     except TargetNotFoundError as error:
         if not _shows_discs(image, site):
-            raise
+            raise _light_error(image, "sub") or error from error
         msg = f"sub target: the sub image shows the discs, not the board; {_SWAP}"
         raise NotRecognisedError(msg) from error
 
@@ -167,11 +159,20 @@ def _shows_board(image: GreyImage, site: Site) -> bool:
     return True
 
 
-def _why_no_discs(image: GreyImage, site: Site) -> str | None:
+def _why_no_discs(image: GreyImage, site: Site) -> TargetNotFoundError | None:
     if _shows_board(image, site):
-        return f"the main image shows the board, not the discs; {_SWAP}"
+        msg = f"main target: the main image shows the board, not the discs; {_SWAP}"
+        return NotRecognisedError(msg)
     seen = explain_discs(image, site.main_target)
-    return None if seen is None else _sentence(seen, site)
+    why = None if seen is None else _sentence(seen, site)
+    if why is None:
+        return _light_error(image, "main")
+    return NotRecognisedError(f"main target: {why}")
+
+
+def _light_error(image: GreyImage, role: str) -> BadLightError | None:
+    fault = light_fault(image, f"[exposure] {role}_us")
+    return None if fault is None else BadLightError(f"{role} target: {fault}")
 
 
 def _sentence(seen: SeenDiscs, site: Site) -> str | None:

@@ -14,7 +14,7 @@ from core.checkerboard.corners import LocatedBoard, detect_board, refine_board
 from core.checkerboard.resection import BoardView, resect
 from core.errors import CalibrationError, TargetNotFoundError
 from core.geometry.lens import Lens
-from core.images import GreyImage
+from core.images import GreyImage, light_fault
 from core.lens.lens_choice import LensChoice, choose_lens
 from core.lens.lens_fit import wide_prior
 from core.lens.lens_start import ImageSize, start_lens
@@ -90,7 +90,7 @@ def calibrate_lens(
         try:
             found.append((k, detect_board(image, board).view))
         except TargetNotFoundError as error:
-            rejected.append((k, str(error)))
+            rejected.append((k, light_fault(image) or str(error)))
     if not found:
         msg = f"lens: none of {len(images)} images shows the board; {dict(rejected)}"
         raise CalibrationError(msg)

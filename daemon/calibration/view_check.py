@@ -13,7 +13,7 @@ from core.arrays import FloatArray
 from core.checkerboard.corners import LocatedBoard
 from core.discs.disc_finder import Discs
 from core.discs.plates import find_plates
-from core.errors import CoreError, NotRecognisedError, TargetNotFoundError
+from core.errors import BadLightError, CoreError, NotRecognisedError, TargetNotFoundError
 from core.images import GreyImage
 from core.recognition import (
     board_doubt,
@@ -65,7 +65,7 @@ def see_pair(pair: CapturedPair, site: Site) -> ViewCheck:
         doubt = disc_doubt(main, discs, site)
         problems += [] if doubt is None else [str(doubt)]
     except CoreError as error:
-        known = isinstance(error, NotRecognisedError)
+        known = isinstance(error, (NotRecognisedError, BadLightError))
         problems.append(f"{error}{'' if known else '; aim, focus and light the main camera'}")
         further = _further_alone(main, site)
     try:
@@ -73,7 +73,7 @@ def see_pair(pair: CapturedPair, site: Site) -> ViewCheck:
         problems += _sub_problems(sub, board)
         doubt = board_doubt(board, site)
         problems += [] if doubt is None else [str(doubt)]
-    except NotRecognisedError as error:
+    except (NotRecognisedError, BadLightError) as error:
         problems.append(str(error))
     except CoreError as error:
         problems.append(f"{error}; aim, focus and light the sub-camera")

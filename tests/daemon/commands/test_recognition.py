@@ -71,7 +71,7 @@ def calibrate(ctl: Ctl, whole: Path, tmp_path: Path) -> Calibrate:
     """Calibrate on the set with changed images and config; give the one line of its error."""
 
     def ran(main: Change = same, sub: Change = same, *config: tuple[str, str]) -> str:
-        frames = Path(shutil.copytree(whole / "set", tmp_path / "set"))
+        frames = Path(shutil.copytree(whole / "set", tmp_path / "set", dirs_exist_ok=True))
         for row in read_frame_set(frames).rows_of("reference", "rig"):
             for name, change in ((row.main, main), (row.sub, sub)):
                 image = read_image(frames / str(name))
@@ -144,6 +144,39 @@ def test_main_image_not_the_right_way_round(
     assert what in said
     assert cure in said
     assert "take the reference again" not in said
+
+
+def dark(pixels: np.ndarray) -> np.ndarray:
+    """Noise, and one pixel that is hot."""
+    pixels = np.random.default_rng(1).integers(2, 6, pixels.shape).astype(np.uint8)
+    pixels[3, 4] = 255
+    return pixels
+
+
+def white(pixels: np.ndarray) -> np.ndarray:
+    return np.full_like(pixels, 255)
+
+
+@pytest.mark.parametrize("role", ["main", "sub"])
+def test_a_black_or_overexposed_reference_is_said_to_be_so(calibrate: Calibrate, role: str) -> None:
+    said = calibrate(**{role: dark})
+    assert f"_{role}.png): {role} target: the image is black, its brightest pixel at 2.0 %" in said
+    assert "take the cap off the lens" in said
+    assert f"a longer [exposure] {role}_us; take the reference again" in said
+    said = calibrate(**{role: white})
+    assert f"_{role}.png): {role} target: the image is overexposed, 100 % of its pixels" in said
+    assert f"a shorter [exposure] {role}_us; take the reference again" in said
+
+
+def test_a_black_pair_is_said_to_be_so_before_a_calibration(whole: Path) -> None:
+    site = load_config(whole / "dcam.toml").site()
+    blank = np.zeros((site.main.height_px, site.main.width_px), np.uint8)
+    shot = CapturedFrame(dark(blank), 8, 0, 0, 0.0)
+    pair = CapturedPair(shot, shot, None)
+    for problems in (recognition_problems(pair, site), see_pair(pair, site).problems):
+        for role, problem in zip(("main", "sub"), problems, strict=True):
+            assert problem.startswith(f"{role} target: the image is black, its brightest pixel at")
+            assert problem.endswith(f"or set a longer [exposure] {role}_us")
 
 
 def test_wrong_diameter_of_the_discs(calibrate: Calibrate) -> None:
