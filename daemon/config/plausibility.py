@@ -17,12 +17,12 @@ _MIN_OFFSET_MM = 5.0
 
 def implausible_values(site: Site) -> list[str]:
     """Name keys whose values do not fit the others, each with the likely mistake."""
-    swapped = _focal_lengths(site)
+    swapped = _exchanged(site)
     if swapped is not None:
         return [swapped]
     problems: tuple[str | None, ...] = (
-        _distance("main", site.main, site.main_target.distance_mm),
-        _distance("sub", site.sub, site.sub_target.distance_mm),
+        _distance("main", site.main, site.main_target),
+        _distance("sub", site.sub, site.sub_target),
         _radians(site.rig),
         _offset(site.rig),
     )
@@ -43,7 +43,7 @@ def _extra_targets(site: Site) -> list[str | None]:
     for number, extra in enumerate(site.extra_targets):
         target = extra.target
         problem = (
-            _distance("main", site.main, target.distance_mm)
+            _distance("main", site.main, target)
             or _distance_sigma(target)
             or _layout(target)
             or _disc_size(site.main, target)
@@ -63,40 +63,66 @@ def _inside(camera: CameraGeometry, position_px: list[float]) -> bool:
     return 0 <= x < camera.width_px and 0 <= y < camera.height_px
 
 
-def _focal_lengths(site: Site) -> str | None:
-    """Whether the focal lengths fit the distances and targets only once they are exchanged."""
-    main_mm, sub_mm = site.main.focal_length_mm, site.sub.focal_length_mm
+def _exchanged(site: Site) -> str | None:
+    """Whether focal lengths or distances fit one another only once they are exchanged."""
 
-    def fit(main: CameraGeometry, sub: CameraGeometry) -> bool:
+    def fit(site: Site) -> bool:
         return not any(
             (
-                _distance("main", main, site.main_target.distance_mm),
-                _distance("sub", sub, site.sub_target.distance_mm),
-                _disc_size(main, site.main_target),
-                _square_size(sub, site.sub_target),
+                _distance("main", site.main, site.main_target),
+                _distance("sub", site.sub, site.sub_target),
+                _size(site.main, site.main_target),
+                _size(site.sub, site.sub_target),
             )
         )
 
-    exchanged = (
-        replace(site.main, focal_length_mm=sub_mm),
-        replace(site.sub, focal_length_mm=main_mm),
-    )
-    if main_mm >= sub_mm or fit(site.main, site.sub) or not fit(*exchanged):
+    if fit(site):
         return None
-    return (
-        f"camera.main.focal_length_mm: {main_mm:g} mm and camera.sub.focal_length_mm: {sub_mm:g} "
-        "mm fit the targets only the other way round; exchange them"
+    main, sub, discs, board = site.main, site.sub, site.main_target, site.sub_target
+    lenses = replace(
+        site,
+        main=replace(main, focal_length_mm=sub.focal_length_mm),
+        sub=replace(sub, focal_length_mm=main.focal_length_mm),
     )
+    if main.focal_length_mm < sub.focal_length_mm and fit(lenses):
+        return (
+            f"camera.main.focal_length_mm: {main.focal_length_mm:g} mm and "
+            f"camera.sub.focal_length_mm: {sub.focal_length_mm:g} mm fit the targets only the "
+            "other way round; exchange them"
+        )
+    places = replace(
+        site,
+        main_target=replace(discs, distance_mm=board.distance_mm),
+        sub_target=replace(board, distance_mm=discs.distance_mm),
+    )
+    if discs.distance_mm < board.distance_mm and fit(places):
+        return (
+            f"target.main.distance_mm: {discs.distance_mm:g} mm and target.sub.distance_mm: "
+            f"{board.distance_mm:g} mm fit the lenses only the other way round; exchange them"
+        )
+    return None
 
 
-def _distance(which: str, camera: CameraGeometry, distance_mm: float) -> str | None:
+def _distance(
+    which: str, camera: CameraGeometry, target: CirclesTarget | CheckerboardTarget
+) -> str | None:
     """A lens makes an image only of what is further away than its focal length."""
-    if distance_mm > camera.focal_length_mm:
+    distance_mm, focal_mm = target.distance_mm, camera.focal_length_mm
+    if distance_mm > focal_mm:
         return None
+    in_metres = replace(target, distance_mm=1000.0 * distance_mm)
+    likely = in_metres.distance_mm > focal_mm and _size(camera, in_metres) is None
+    cure = "is this in metres?" if likely else f"correct it, or camera.{which}.focal_length_mm"
     return (
         f"target.{which}.distance_mm: {distance_mm:g} mm is nearer than the focal length of "
-        f"{camera.focal_length_mm:g} mm; is this in metres?"
+        f"{focal_mm:g} mm; {cure}"
     )
+
+
+def _size(camera: CameraGeometry, target: CirclesTarget | CheckerboardTarget) -> str | None:
+    if isinstance(target, CirclesTarget):
+        return _disc_size(camera, target)
+    return _square_size(camera, target)
 
 
 def _distance_sigma(target: CirclesTarget) -> str | None:

@@ -45,6 +45,11 @@ WRONG = [
         "target.sub.distance_mm: .* is this in metres",
     ),
     (
+        "focal_length_mm = 6.0",
+        "focal_length_mm = 60.0",
+        "target.sub.distance_mm: 50 mm is nearer than .* 60 mm; .*, or camera.sub.focal_length_mm$",
+    ),
+    (
         "distance_mm = 11000.0",
         "distance_mm = 1.1e7",
         "target.main.distance_mm: must be at most .* is this in micrometres",
@@ -113,6 +118,15 @@ WRONG = [
 def test_one_mistake_is_one_line(write, old: str, new: str, expected: str) -> None:
     (problem,) = problems_of(write((old, new)))
     assert re.match(expected, problem), problem
+
+
+def test_distances_that_are_swapped_are_said_to_be_so(write) -> None:
+    main, sub = ("distance_mm = 11000.0", "distance_mm = 50"), ("= 50.0", "= 11000.0")
+    (problem,) = problems_of(write(main, sub))
+    assert problem == (
+        "target.main.distance_mm: 50 mm and target.sub.distance_mm: 11000 mm fit the lenses only "
+        "the other way round; exchange them"
+    )
 
 
 def test_every_mistake_is_reported_at_once(write) -> None:
