@@ -33,3 +33,12 @@ class ImageError(CoreError):
 
 class ImageSizeError(ImageError):
     """An image is not of the configured size."""
+
+
+def digits(value: float, count: int = 3) -> str:
+    """Write a number of a message with so many digits and, from 0.0001 on, without an exponent.
+
+    >>> digits(0.70412), digits(17.3), digits(1012.4), digits(1.0)
+    ('0.704', '17.3', '1010', '1')
+    """
+    return f"{float(f'{value:.{count}g}'):.15g}"

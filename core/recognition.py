@@ -17,7 +17,7 @@ from core.checkerboard.corners import LocatedBoard, detect_board
 from core.discs.disc_finder import Discs, find_discs
 from core.discs.disc_mismatch import DiscMismatch, SeenDiscs, doubt_size, explain_discs
 from core.discs.plates import WantedPlate, find_plates
-from core.errors import BadLightError, NotRecognisedError, TargetNotFoundError
+from core.errors import BadLightError, NotRecognisedError, TargetNotFoundError, digits
 from core.images import GreyImage, light_fault
 from core.site import Site
 
@@ -208,16 +208,16 @@ def _sentence(seen: SeenDiscs, site: Site) -> str | None:
 def _diameter(seen: SeenDiscs, site: Site) -> str:
     """Discs and spacing do not go together; the scale tells which of the two is likely wrong."""
     ratio = seen.diameter_ratio
-    seen_mm = ", ".join(f"{mm:.2g}" for mm in dict.fromkeys(ratio * site.main_target.diameters_mm))
+    seen_mm = ", ".join(digits(mm) for mm in dict.fromkeys(ratio * site.main_target.diameters_mm))
     text = (
-        f"its discs are {ratio:.2g} times as wide, for their distances from one another, as "
+        f"its discs are {digits(ratio)} times as wide, for their distances from one another, as "
         "target.main.diameter_mm says"
     )
     scale = seen.px_per_mm / site.nominal_px_per_mm
     if abs(math.log(scale * ratio)) < abs(math.log(scale)):
         return (
-            f"{text}, and seen {scale:.2g} times as large; measure the plate: likely "
-            f"target.main.centres_mm should all be {1.0 / ratio:.2g} times as large"
+            f"{text}, and seen {digits(scale)} times as large; measure the plate: likely "
+            f"target.main.centres_mm should all be {digits(1.0 / ratio)} times as large"
         )
     return f"{text}; measure them: about {seen_mm} mm if target.main.centres_mm is right"
 
@@ -229,16 +229,17 @@ def _scale(seen: SeenDiscs, site: Site) -> str | None:
         return None  # not the size: what the finder says stands
     swapped = site.sub.focal_length_mm / site.main.focal_length_mm
     if swapped / _FOCAL_FACTOR < ratio < swapped * _FOCAL_FACTOR:
-        text = f"its discs are seen, {ratio:.3g} times as large as the config says"
+        text = f"its discs are seen, {digits(ratio)} times as large as the config says"
         return f"{text}; exchange camera.main.focal_length_mm and camera.sub.focal_length_mm"
     return _other_scale(seen, site)
 
 
 def _other_scale(seen: SeenDiscs, site: Site) -> str:
     expected = site.nominal_px_per_mm
+    ratio = digits(seen.px_per_mm / expected)
     return (
-        f"its discs are seen, {seen.px_per_mm / expected:.3g} times as large as the config says "
-        f"({seen.px_per_mm:.3g} px/mm instead of {expected:.3g}); correct "
+        f"its discs are seen, {ratio} times as large as the config says "
+        f"({digits(seen.px_per_mm)} px/mm instead of {digits(expected)}); correct "
         "camera.main.focal_length_mm, target.main.distance_mm, or, if the plate is another one, "
         "target.main.centres_mm and diameter_mm (all in mm)"
     )

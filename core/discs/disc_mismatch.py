@@ -91,7 +91,7 @@ def explain_discs(image: GreyImage, target: CirclesTarget) -> SeenDiscs | None:
         layout = replace(drawn, radii_mm=ratio * drawn.radii_mm)
         found = _all_found(blobs, layout)
         if found is not None:
-            return _as_drawn(blobs, layout, found, ratio)
+            return _as_drawn(image, blobs, layout, found, ratio)
     mirrored = replace(drawn, places_mm=drawn.places_mm * np.array([-1.0, 1.0]))
     found = _all_found(blobs, mirrored)
     if found is not None:
@@ -137,10 +137,7 @@ def diameter_ratio(
     """
     nominal_px = 0.5 * target.diameters_mm[discs.found] * px_per_mm
     fits = _located(image, discs, nominal_px)
-    if not fits.usable.any():
-        return 1.0
-    radius_px = np.sqrt(np.abs(np.linalg.det(fits.outline_px)))
-    return float(np.median((radius_px / nominal_px)[fits.usable]))
+    return _median_ratio(fits, nominal_px) or 1.0
 
 
 def drawn_outlines(
@@ -170,12 +167,22 @@ def _located(image: GreyImage, discs: Discs, nominal_px: FloatArray) -> DiscFits
     return fits
 
 
+def _median_ratio(fits: DiscFits, nominal_px: FloatArray) -> float | None:
+    """Radii of fitted outlines to the nominal ones (n,), px; None where no fit can be used."""
+    if not fits.usable.any():
+        return None
+    radius_px = np.sqrt(np.abs(np.linalg.det(fits.outline_px)))
+    return float(np.median((radius_px / nominal_px)[fits.usable]))
+
+
 def _all_found(blobs: Blobs, layout: Layout) -> DiscAssignment | None:
     everything = Expectation(min_discs=len(layout.radii_mm))
     return identify_discs(blobs, layout, everything)
 
 
-def _as_drawn(blobs: Blobs, layout: Layout, found: DiscAssignment, ratio: float) -> SeenDiscs:
+def _as_drawn(
+    image: GreyImage, blobs: Blobs, layout: Layout, found: DiscAssignment, ratio: float
+) -> SeenDiscs:
     scale = _px_per_mm(found)
     drawn_mm = layout.radii_mm[found.discs] / ratio
     seen = float(np.median(blobs.radius_px[found.spots] / (scale * drawn_mm)))
@@ -189,6 +196,12 @@ def _as_drawn(blobs: Blobs, layout: Layout, found: DiscAssignment, ratio: float)
         mismatch = DiscMismatch.DIAMETER
     else:
         mismatch = DiscMismatch.SCALE
+    if mismatch is DiscMismatch.DIAMETER:  # outlines are sharper than spots
+        at = found.spots
+        fits = locate_discs(
+            image.pixels, image.saturation_dn, blobs.points_px[at], blobs.outline_px[at]
+        )
+        seen = _median_ratio(fits, scale * drawn_mm) or seen
     return SeenDiscs(mismatch, len(found.discs), scale, seen)
 
 

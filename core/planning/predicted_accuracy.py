@@ -19,7 +19,7 @@ from core.arrays import FloatArray
 from core.calibration.joint_fit import FitOptions, Method, build_uncompressed_site, predict_fit
 from core.calibration.observability import AXES, drift_motions
 from core.checkerboard.resection import MIN_CORNERS, pose_jacobian
-from core.errors import TargetNotFoundError
+from core.errors import TargetNotFoundError, digits
 from core.geometry.pose import Pose
 from core.planning.planned_site import CalibrationPlan, PlannedSite
 from core.rig.calibrated_site import CalibratedSite
@@ -295,8 +295,8 @@ def possible_changes(planned: PlannedSite, calibration_plan: CalibrationPlan) ->
         ),
         Change(
             f"a survey four times as good: to {rig.rotation_sigma_deg / 4:.2g} deg between the "
-            f"cameras, {rig.offset_sigma_mm / 4:.2g} mm of offset, "
-            f"{main.distance_sigma_mm / 4:.2g} mm of distance",
+            f"cameras, {digits(rig.offset_sigma_mm / 4, 2)} mm of offset, "
+            f"{digits(main.distance_sigma_mm / 4, 2)} mm of distance",
             other(surveyed),
             calibration_plan,
         ),

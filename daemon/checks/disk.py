@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from time import monotonic
 
+from core.errors import digits
 from daemon.checks.finding import Finding, failed, unless
 from daemon.checks.usb import frame_bytes
 from daemon.config.reading import Config
@@ -41,8 +42,8 @@ def check_room(config: Config, state: Path) -> Finding:
     days = room / (slot_bytes(config) * DAY_S / config.schedule.period_s)
     text = f"room for {bytes_text(room)} of frames, [retention] keeps at most {bytes_text(wanted)}"
     cure = (
-        f"frames go sooner than it says, every slot's after {days:.2g} days if nothing else is"
-        " kept; free some space, put [storage] directory on a larger disk, or ask for less"
+        f"frames go sooner than it says, every slot's after {digits(days, 2)} days if nothing else "
+        "is kept; free some space, put [storage] directory on a larger disk, or ask for less"
     )
     return unless(room >= wanted, "disk", text, cure)
 

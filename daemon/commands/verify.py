@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from core.errors import digits
 from daemon.commands.options import (
     Options,
     common_options,
@@ -148,7 +149,7 @@ def _what_was_compared(compared: Compared, kind: str) -> str:
         "otherwise now"
     )
     if compared.differing:
-        text += f", by {compared.largest_mm:.2g} mm at most"
+        text += f", by {digits(compared.largest_mm, 2)} mm at most"
     if compared.flags:
         text += f", {compared.flags} with another flag or reason"
     return text

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from core.errors import digits
 from core.site import CameraGeometry, CheckerboardTarget, CirclesTarget, RigPrior, Site
 
 _MIN_DISC_PX = 3.0
@@ -174,7 +175,7 @@ def _disc_size(camera: CameraGeometry, target: CirclesTarget) -> str | None:
     extent_px = float(np.ptp(target.centres_mm, axis=0).max()) * px_per_mm
     image_px = max(camera.width_px, camera.height_px)
     if smallest_px < _MIN_DISC_PX:
-        problem = f"diameter_mm: the smallest disc would be {smallest_px:.2g} px across"
+        problem = f"diameter_mm: the smallest disc would be {digits(smallest_px)} px across"
     elif extent_px > image_px:
         problem = (
             f"centres_mm: the target would be {extent_px:.0f} px wide in an image of {image_px} px"
@@ -191,7 +192,7 @@ def _square_size(camera: CameraGeometry, target: CheckerboardTarget) -> str | No
     if _MIN_SQUARE_PX <= square_px <= largest_px:
         return None
     return (
-        f"target.sub.square_mm: a square would be {square_px:.2g} px wide, usable are "
+        f"target.sub.square_mm: a square would be {digits(square_px)} px wide, usable are "
         f"{_MIN_SQUARE_PX:g} to {largest_px:.0f} px ({_optics(camera, target.distance_mm)}); "
         "is every unit right?"
     )

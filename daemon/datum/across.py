@@ -9,6 +9,7 @@ from datetime import timedelta
 import numpy as np
 
 from core.arrays import FloatArray
+from core.errors import digits
 from core.results import Displacement
 from daemon.datum.candidates import mean_gains
 from daemon.datum.chain import weighted_mean
@@ -62,8 +63,8 @@ def by_rows_across(
     targets = {name: offset for name, offset in found.items() if offset is not None}
     words = (
         f"by {len(pairs)} pair{'s' if len(pairs) > 1 else ''} of rows before and after, "
-        f"{span_text(lag_s)} apart; the bridge moves by {moving_mm[0]:.3g}, {moving_mm[1]:.3g} mm "
-        "in such a time"
+        f"{span_text(lag_s)} apart; the bridge moves by {digits(moving_mm[0])}, "
+        f"{digits(moving_mm[1])} mm in such a time"
     )
     earlier, later = (mean_gains([row.gains for row in side]) for side in zip(*pairs, strict=True))
     step = DatumStep(DatumMethod.ROWS, earlier_id, main, targets, later, earlier)

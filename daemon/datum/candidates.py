@@ -10,6 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from core.arrays import FloatArray
+from core.errors import digits
 from core.results import Displacement, Flag, Measurement, gains_for
 from core.rig.calibrated_site import CalibratedSite
 from core.rig.datum import through_fixed_targets
@@ -232,7 +233,7 @@ def by_rows(
     )
     words = (
         f"by the last good row, {span_text(gap_s)} before ({utc_text(last.slot_utc)}); "
-        f"the bridge moves by {sigma_mm[0]:.3g}, {sigma_mm[1]:.3g} mm in such a time"
+        f"the bridge moves by {digits(sigma_mm[0])}, {digits(sigma_mm[1])} mm in such a time"
     )
     return candidate(step, datums.get(last.calibration_id or 0), words)
 

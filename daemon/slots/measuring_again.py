@@ -16,7 +16,7 @@ from datetime import datetime
 import numpy as np
 import structlog
 
-from core.errors import CalibrationError
+from core.errors import CalibrationError, digits
 from core.results import Reason
 from daemon.errors import StoreError
 from daemon.slots.identity import made_by
@@ -131,7 +131,7 @@ class MeasuringAgain:
         )
         detail = (
             f"as of their true times, up to slot {slot_text(last_utc)}: {done[Again.MEASURED]} rows"
-            f", changed by {largest_mm:.2g} mm at most{', ' if left else ''}{left}"
+            f", changed by {digits(largest_mm, 2)} mm at most{', ' if left else ''}{left}"
         )
         self._context.store.add_event(self._context.clock.now_utc(), "measured_again", detail)
         _log.info("measured_again", rows=done[Again.MEASURED], last=slot_text(last_utc))
