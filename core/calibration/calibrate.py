@@ -15,6 +15,7 @@ from core.calibration.joint_fit import (
     reject_outlier_views,
 )
 from core.calibration.lens_selection import fit_chosen, start_from_views
+from core.calibration.mirrored_views import with_mirrored_named
 from core.calibration.motion_check import compare_with_drawing
 from core.calibration.reference_index import place_reference
 from core.calibration.report import write_report
@@ -93,9 +94,9 @@ def calibrate(
     Raises CalibrationError, and NotObservableError if the motions determine too little.
     """
     options = FitOptions(site, Board.nominal(site.sub_target), method, skew)
-    seen, rejected = find_targets(views, site)
-    start, outliers = start_from_views(seen, options)
-    seen = seen.without({name for name, _ in outliers})
+    found, rejected = find_targets(views, site)
+    start, outliers = start_from_views(found, options)
+    seen = found.without({name for name, _ in outliers})
     seen, unlike = relocate_corners(seen, start.lens, options.board)
     placed = place_reference(seen, start.lens, site, options.board)
     if placed is not seen:
@@ -105,13 +106,14 @@ def calibrate(
     fit, choice = fit_chosen(seen, start, options)
     fit, bad = reject_outlier_views(fit, options)
     fit, moved = reject_moved_targets(fit, options)
+    unfit = with_mirrored_named([*outliers, *bad], found, fit, site, options.board)
     calibrated = build_calibrated_site(fit, options)
     report = write_report(
         fit,
         calibrated,
         options,
         choice,
-        [*rejected, *outliers, *unlike, *bad, *moved],
+        [*rejected, *unlike, *unfit, *moved],
         {view.name: view for view in views},
         held_out_errors_mm(fit, options),
         check_survey(fit, start.lens, options, factor, _reference_main(views)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from core.calibration.joint_fit import MIN_LENS_VIEWS, Fit, FitOptions, fit_views
+from core.calibration.mirrored_views import mirrored_lens_views
 from core.calibration.views import LensView, RejectedView, Views
 from core.errors import CalibrationError
 from core.lens.lens_choice import LensChoice, choose_lens
@@ -10,7 +11,7 @@ from core.lens.lens_start import StartLens, start_lens
 
 
 def start_from_views(views: Views, options: FitOptions) -> tuple[StartLens, list[RejectedView]]:
-    """A lens to start from, and the lens views that do not fit.
+    """A lens to start from, and the lens views that do not fit or are all mirrored.
 
     Without three lens views the rig views must do; they determine the focal length poorly.
     """
@@ -23,6 +24,11 @@ def start_from_views(views: Views, options: FitOptions) -> tuple[StartLens, list
         options.site.lens_model,
     )
     reasons = dict(start.rejected)
+    agreeing = views.without({among[v].name for v in reasons})
+    mirrored = mirrored_lens_views(agreeing, start.lens, options.site, options.board)
+    if mirrored:
+        start, others = start_from_views(views.without({name for name, _ in mirrored}), options)
+        return start, [*mirrored, *others]
     if 0 in reasons:
         msg = (
             "calibration: the reference view does not fit the lens views; is it the same lens? "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from core.geometry.lens import Lens
 from core.lens.intrinsics import lens_prior
 from core.site import Site
 
-_LEAST_VIEWS = 3
+LEAST_VIEWS = 3
 """Lens views that show a border each way: so many determine how the board was printed."""
 
 
@@ -29,9 +30,9 @@ def place_reference(views: Views, lens: Lens, site: Site, board: Board) -> Views
     clearly better than the others.
     """
     known = [view for view in views.lens if view.board.unambiguous]
-    if views.reference.board.unambiguous or len(known) < _LEAST_VIEWS:
+    if views.reference.board.unambiguous or len(known) < LEAST_VIEWS:
         return views
-    lens, corners_mm = _as_printed(known, lens, site, board)
+    lens, corners_mm = as_printed(known, lens, site, board)
     seen = views.reference.board.view
     places = [replace(seen, index=index) for index in _places(seen.index, board)]
     outliers = [resect(lens, corners_mm, place).median_rms_px for place in places]
@@ -42,8 +43,8 @@ def place_reference(views: Views, lens: Lens, site: Site, board: Board) -> Views
     return replace(views, reference=replace(views.reference, board=placed))
 
 
-def _as_printed(
-    views: list[LensView], lens: Lens, site: Site, board: Board
+def as_printed(
+    views: Sequence[LensView], lens: Lens, site: Site, board: Board
 ) -> tuple[Lens, FloatArray]:
     """The lens and the corners (corners, 3) mm that lens views alone give."""
     boards: list[BoardView] = [view.board.view for view in views]

@@ -11,12 +11,14 @@ import pytest
 
 from core.calibration.calibrate import CalibrationView, Method, ViewRole, calibrate
 from core.errors import CalibrationError, NotObservableError
+from core.geometry.pose import Pose
 from core.images import GreyImage
 from core.site import CheckerboardTarget, Site
+from drivers.sim.geometry import held_board_pose
 from drivers.sim.settings import SimSettings
 from drivers.sim.world import World
 from tests.core.boards import BoardScene
-from tests.core.scenes import head_positions, small_site
+from tests.core.scenes import head_positions, lens_views, small_site
 from tests.core.sessions import Session, all_views
 
 Change = Callable[[np.ndarray], np.ndarray]
@@ -110,6 +112,46 @@ def test_where_all_rig_views_are_mirrored_the_first_is_named(
             calibrate(_changed(views, rig, _mirrored), site)
 
 
+@pytest.mark.parametrize(("index", "name"), [(2, "lens 2"), (8, "rig 3")])
+def test_one_view_that_is_mirrored_is_said_to_be_so(quick: Session, index: int, name: str) -> None:
+    """Also where the board is larger than the image, and where it may be held any way."""
+    (mirrored,) = _changed(quick.views[index : index + 1], [0], _mirrored)
+    reasons = _rejected(quick, {index: {"sub": mirrored.sub}})
+    assert list(reasons) == [name]
+    assert reasons[name].startswith("mirrored or turned by 180 degrees")
+    assert "ReverseX" in reasons[name]
+
+
+@pytest.mark.parametrize("change", [_mirrored, _turned])
+def test_lens_views_that_are_all_mirrored_are_said_to_be_so(
+    whole: tuple[Site, Views], change: Change
+) -> None:
+    """They fit one another, and a lens whose principal point is on the other side."""
+    site, views = whole
+    _, report = calibrate(_changed(views, range(3), change), site)
+    assert not report.passed
+    reasons = {r["view"]: r["reason"] for r in report.figures["rejected"]}
+    assert list(reasons) == ["lens 0", "lens 1", "lens 2"]
+    assert all(reason.startswith("mirrored or turned by 180") for reason in reasons.values())
+
+
+def test_a_board_held_upside_down_is_not_mirrored(
+    whole: tuple[Site, Views], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site, views = whole
+    size_mm = np.array([site.sub_target.squares_x, site.sub_target.squares_y, 0])
+    half = Pose(np.diag([-1.0, -1.0, 1.0]), size_mm * site.sub_target.square_mm)
+
+    def upside_down(*given: object) -> Pose:
+        return held_board_pose(*given).compose(half)
+
+    monkeypatch.setattr("drivers.sim.world.held_board_pose", upside_down)
+    held = lens_views(World(site, SimSettings(seed=3)), 3)
+    _, report = calibrate([*held, *views[3:]], site)
+    assert report.passed
+    assert report.figures["rejected"] == []
+
+
 def test_of_a_pair_the_image_that_is_at_fault_is_named(whole: tuple[Site, Views]) -> None:
     site, views = whole
     called = {"name": "6 (6_sub.png)", "main_name": "6 (6_main.png)"}
@@ -127,6 +169,7 @@ def test_a_lens_view_that_does_not_fit_is_rejected_by_name(quick: Session) -> No
     """A hundredth wider than it should be: a board that was bent, or another lens."""
     reasons = _rejected(quick, {2: {"sub": _stretched(quick.views[2].sub, 1.01)}})
     assert list(reasons) == ["lens 2"]
+    assert "mirrored" not in reasons["lens 2"]
 
 
 # ------------------------------------------------------------------ refused
