@@ -8,7 +8,7 @@ from core.calibration.joint_fit import Fit
 from core.calibration.reference_index import LEAST_VIEWS, as_printed
 from core.calibration.views import LensView, RejectedView, Views
 from core.checkerboard.board import Board
-from core.checkerboard.board_mismatch import TURNED_BY_HALF
+from core.checkerboard.board_mismatch import turns_if_mirrored
 from core.geometry.lens import Lens
 from core.lens.mirrored import MIRRORED, looks_mirrored
 from core.site import Site
@@ -17,12 +17,13 @@ from core.site import Site
 def mirrored_lens_views(views: Views, lens: Lens, site: Site, board: Board) -> list[RejectedView]:
     """All lens views, if they are mirrored or turned against the reference and the rig views.
 
-    lens is what the lens views give. That they show the board upside down says nothing by itself,
-    as it may have been held so. But then the views of the mounted board fit their lens and print,
-    and would not fit them better mirrored.
+    lens is what the lens views give. That they show the board turned says nothing by itself, as it
+    may have been held so. But then the views of the mounted board fit their lens and print, and
+    would not fit them better mirrored.
     """
-    upside_down = all(view.board.quarter_turns == TURNED_BY_HALF for view in views.lens)
-    if not upside_down or len(views.lens) < LEAST_VIEWS:
+    mirrored = turns_if_mirrored(board)
+    alike = all(view.board.quarter_turns == mirrored for view in views.lens)
+    if not alike or len(views.lens) < LEAST_VIEWS:
         return []
     lens, corners_mm = as_printed(views.lens, lens, site, board)
     mounted: Sequence[LensView] = (views.reference, *views.rig)

@@ -54,6 +54,17 @@ def turned(quarter_turns: int, board: Board) -> NotRecognisedError:
     return NotRecognisedError(f"{text}; {_quarter_cure(board.rows, board.columns)}")
 
 
+def turns_if_mirrored(board: Board) -> int | None:
+    """By how many quarter turns an upright board seems turned when it is mirrored.
+
+    None where it shows in another way, or not at all.
+    """
+    odd = [(count + 1) % 2 == 1 for count in (board.columns, board.rows)]
+    if odd[0] != odd[1]:
+        return TURNED_BY_HALF
+    return 1 if board.columns == board.rows and not odd[0] else None
+
+
 def too_few_between_borders(
     columns: int | None, rows: int | None, board: Board
 ) -> NotRecognisedError:

@@ -18,6 +18,7 @@ from core.images import GreyImage, light_fault
 from core.lens.lens_choice import LensChoice, choose_lens
 from core.lens.lens_fit import wide_prior
 from core.lens.lens_start import ImageSize, start_lens
+from core.lens.mirrored import MIRRORED, looks_mirrored
 from core.lens_model import LensModel
 from core.site import CameraGeometry
 
@@ -66,6 +67,8 @@ class LensCalibration:
     """Which were not, and why."""
     choice: LensChoice
     """How the distortion's model was chosen."""
+    quarter_turns: tuple[int, ...] = ()
+    """By how many quarter turns each view used shows the board turned, where that is known."""
 
 
 def calibrate_lens(
@@ -84,24 +87,30 @@ def calibrate_lens(
     Source: Eq. 10 of Lee et al. (2020), Zhang (2000), with distortion and the board's shape; an
     example with images is in docs/functions.md.
     """
-    found: list[tuple[int, BoardView]] = []
+    found: list[tuple[int, LocatedBoard]] = []
     rejected: list[tuple[int, str]] = []
     for k, image in enumerate(images):
         try:
-            found.append((k, detect_board(image, board).view))
+            found.append((k, detect_board(image, board)))
         except TargetNotFoundError as error:
             rejected.append((k, light_fault(image) or str(error)))
     if not found:
-        msg = f"lens: none of {len(images)} images shows the board; {dict(rejected)}"
+        first = f"; view {rejected[0][0]}: {rejected[0][1]}" if rejected else ""
+        msg = f"lens: none of {len(images)} images shows the board{first}"
         raise CalibrationError(msg)
     height, width = images[found[0][0]].pixels.shape
     focal_px = None if camera is None else camera.focal_px
-    start = start_lens([view for _, view in found], board, (width, height), focal_px, model)
+    views_px = [seen.view for _, seen in found]
+    start = start_lens(views_px, board, (width, height), focal_px, model)
     residual_ratios = dict(start.rejected)
-    used, views = [], []
-    for v, (k, view) in enumerate(found):
+    used, views, turns = [], [], []
+    for v, (k, seen) in enumerate(found):
+        given = seen.view, start.lens, board, board.corners_mm, (width, height)
+        if v in residual_ratios and looks_mirrored(*given):
+            rejected.append((k, MIRRORED))
+            continue
         try:
-            located = _refined(images[k], start.lens, board, view)
+            located = _refined(images[k], start.lens, board, seen.view)
             if v in residual_ratios:
                 _require_fit(located, start.lens, board)
         except TargetNotFoundError as error:
@@ -109,8 +118,16 @@ def calibrate_lens(
             continue
         used.append(k)
         views.append(located.view)
+        turns.append(seen.quarter_turns)
     adjusted, choice = _adjusted(views, board, start.lens, model, skew=skew)
-    return LensCalibration(adjusted.lens, adjusted, tuple(used), tuple(sorted(rejected)), choice)
+    return LensCalibration(
+        adjusted.lens,
+        adjusted,
+        tuple(used),
+        tuple(sorted(rejected)),
+        choice,
+        tuple(turns),
+    )
 
 
 def _refined(image: GreyImage, lens: Lens, board: Board, view: BoardView) -> LocatedBoard:

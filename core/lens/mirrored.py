@@ -21,8 +21,8 @@ from core.lens.lens_start import ImageSize, subsample
 _CORNERS = 100
 """Of a view that are fitted."""
 _CLEARLY_BETTER = 2.0
-"""Ratio of residuals from which a view is said to be mirrored. Chosen: of a real lens it is 3 to
-300; a lens that is mirrored as well as not leaves it at 1."""
+"""Ratio of residuals from which a view is said to be mirrored. Chosen: with simulated lenses it is
+4 to 160; a lens that is mirrored as well as not leaves it at 1."""
 MIRRORED = (
     "mirrored or turned by 180 degrees: it fits the other views once it is turned back; switch "
     "ReverseX and ReverseY of the sub-camera off, and take it again"
@@ -48,12 +48,15 @@ def looks_mirrored(
 def _turned(view: BoardView, board: Board, size: ImageSize) -> Iterator[BoardView]:
     """The view in mirrored and turned images, with each name that its corners may have then."""
     j, i = np.divmod(view.index, board.columns)
-    ends_px = np.array(size) - 1.0
+    ends = np.array([board.columns, board.rows]) - 1
+    ways = [np.stack([i, j], axis=1)]
+    if board.columns == board.rows:  # it may have been taken for one that is turned by 90 degrees
+        ways.append(np.stack([j, board.columns - 1 - i], axis=1))
     for flipped in ((True, False), (False, True), (True, True)):
-        points = np.where(flipped, ends_px - view.points_px, view.points_px)
-        for across in (True, False):
-            down = across == (flipped[0] == flipped[1])  # a mirrored image has a mirrored board
-            index = board.index(
-                board.columns - 1 - i if across else i, board.rows - 1 - j if down else j
-            )
-            yield replace(view, index=index, points_px=points)
+        points = np.where(flipped, np.array(size) - 1.0 - view.points_px, view.points_px)
+        mirrored = flipped[0] != flipped[1]  # and then the board is, too
+        for ij in ways:
+            for across in (True, False):
+                named = np.where((across, across != mirrored), ends - ij, ij)
+                index = board.index(named[:, 0], named[:, 1])
+                yield replace(view, index=index, points_px=points)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.checkerboard.board import Board
+from core.checkerboard.board_mismatch import turns_if_mirrored
 from core.errors import ImageError
 from core.geometry.lens import Lens
 from core.images import GreyImage, require_size
@@ -74,6 +75,7 @@ def _verdict(calibration: LensCalibration, site: Site, left_out: list[str]) -> L
     problems = list(covered.suggestions)
     if focal_sigma > MAX_FOCAL_SIGMA:
         problems.append(f"the focal length is known to {focal_sigma:.2%} only; tilt the board more")
+    warnings = list(_warnings(calibration, Board.nominal(site.sub_target)))
     verdict = "lens views are enough" if not problems else "lens views are NOT enough"
     alpha, _, _, mu, nu = lens.parameters[:5]
     views = f"{covered.views} views used, {len(left_out)} left out"
@@ -84,10 +86,12 @@ def _verdict(calibration: LensCalibration, site: Site, left_out: list[str]) -> L
         *(f"left out {reason}" for reason in left_out),
         f"focal length {focal}, 1 sigma {focal_sigma:.3%}; principal point ({mu:.1f}, {nu:.1f}) px",
         f"{calibration.choice.sentence}; corners fit to {rms_px:.4f} px rms",
+        *(f"warning: {warning}" for warning in warnings),
     )
     fields = {
         "enough": not problems,
         "problems": problems,
+        "warnings": warnings,
         "views": covered.views,
         "left_out": left_out,
         "covered": covered.covered,
@@ -98,6 +102,16 @@ def _verdict(calibration: LensCalibration, site: Site, left_out: list[str]) -> L
         "sub_rms_px": rms_px,
     }
     return LensVerdict(not problems, lines, fields)
+
+
+def _warnings(calibration: LensCalibration, board: Board) -> Iterator[str]:
+    mirrored = turns_if_mirrored(board)
+    if mirrored and set(calibration.quarter_turns) == {mirrored}:
+        yield (
+            f"all views show the board turned by {90 * mirrored} degrees; if it was held upright, "
+            "the images are mirrored or turned: switch ReverseX and ReverseY of the sub-camera "
+            "off, and take them again"
+        )
 
 
 def _in_image(lens: Lens, points_mm: FloatArray, camera: CameraGeometry) -> FloatArray:

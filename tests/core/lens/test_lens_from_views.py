@@ -7,10 +7,12 @@ import pytest
 
 from core.arrays import FloatArray
 from core.checkerboard.board import Board
+from core.checkerboard.resection import BoardView
 from core.errors import CalibrationError
 from core.geometry.lens import Lens
 from core.geometry.pose import Pose
 from core.lens.intrinsics import calibrate_lens_from_corners
+from core.lens.mirrored import looks_mirrored
 from core.lens_model import LensModel
 from core.site import CheckerboardTarget
 from tests.exhaustive import one_of
@@ -117,6 +119,26 @@ def test_views_of_a_few_corners_or_none_are_left_out() -> None:
     views[4][1:] = np.nan  # one row: on a line
     found = calibrate_lens_from_corners(views, BOARD, SIZE)
     assert {k for k, _ in found.rejected} == {4, 6}
+
+
+@every_lens
+def test_a_mirrored_image_is_told_from_a_turned_board(name: str) -> None:
+    """Named as a finder does, which takes the board for one that is held otherwise."""
+    lens, rng = LENSES[name], np.random.default_rng(4)
+    index, covariance = np.arange(54), np.tile(0.01 * np.eye(2), (54, 1, 1))
+
+    def mirrored(corners_px: FloatArray) -> bool:
+        view = BoardView(index, corners_px.reshape(-1, 2), covariance)
+        return looks_mirrored(view, lens, BOARD, BOARD.corners_mm, SIZE)
+
+    for true in true_views(lens, rng, 4):
+        seen = true + rng.normal(0.0, 0.003, true.shape)
+        across, down = np.array(SIZE) - 1.0
+        assert not mirrored(seen)
+        assert not mirrored(seen[::-1, ::-1])
+        assert mirrored(seen[:, ::-1] * [-1.0, 1.0] + [across, 0.0])
+        assert mirrored(seen[::-1] * [1.0, -1.0] + [0.0, down])
+        assert mirrored([across, down] - seen)
 
 
 def test_two_views_are_refused() -> None:

@@ -22,7 +22,7 @@ from daemon.calibration.session import FOLDER, CalibrationDevices, Session, take
 from daemon.calibration.view_check import see_board
 from daemon.commands import calibrate_head, demo
 from daemon.config.reading import load_config
-from drivers.frameset import read_frame_set, write_table
+from drivers.frameset import encode_png, read_frame_set, read_image, write_table
 from drivers.protocols import CapturedFrame, CapturedPair, Image
 from drivers.sim.settings import SimSettings
 from drivers.sim.world import World
@@ -161,6 +161,23 @@ def test_too_few_views_are_reported_with_what_is_missing(
     assert lens[4].sub in third
     use = f"calibrate --pan-tilt --lens-views {tmp_path / 'set'} uses them"
     assert use in ran.out
+
+
+def test_views_that_are_all_mirrored_are_said_to_be_perhaps(
+    ctl: Ctl, config: Path, state: Path
+) -> None:
+    """The colours of this board of 10 x 10 squares look turned then, as if it was held so."""
+    frames = latest_lens_views(state)
+    words = ("--config", config, "calibrate", "--intrinsics", "--from", frames.directory)
+    assert "warning" not in ctl(*words).out
+    for row in frames.rows:
+        image = read_image(frames.directory / row.sub)
+        mirrored = np.ascontiguousarray(image.pixels[:, ::-1])
+        (frames.directory / row.sub).write_bytes(encode_png(mirrored, image.bits))
+    (warning,) = [line for line in ctl(*words).out.splitlines() if line.startswith("warning: ")]
+    assert "all views show the board turned by 90 degrees; if it was held upright" in warning
+    assert "the images are mirrored or turned" in warning
+    assert "ReverseX" in warning
 
 
 @pytest.fixture
