@@ -10,6 +10,7 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.calibration.joint_fit import FitOptions, main_scale, main_view, nominal_rig
+from core.calibration.observability import MIN_RIG_VIEWS
 from core.calibration.views import Views
 from core.checkerboard.resection import resect
 from core.errors import CalibrationError
@@ -42,7 +43,7 @@ def compare_with_drawing(views: Views, lens: Lens, options: FitOptions) -> float
     the shifts fit only with one of the images mirrored or turned.
     """
     seen_px, drawn_px = _shifts_px(views, lens, options)
-    if len(seen_px) < 2 or _flatness(drawn_px) < _MIN_RATIO:
+    if len(seen_px) < MIN_RIG_VIEWS or _flatness(drawn_px) < _MIN_RATIO:
         return 1.0
     follows = _follows(seen_px, drawn_px)
     factor = float(np.sqrt(abs(np.linalg.det(follows))))
@@ -82,10 +83,18 @@ def _flatness(shifts_px: FloatArray) -> float:
 
 
 def _follows(seen_px: FloatArray, drawn_px: FloatArray) -> FloatArray:
-    """(2, 2) seen = this @ drawn, by the views that fit best."""
-    follows = np.linalg.lstsq(drawn_px, seen_px, rcond=None)[0].T
-    left = np.hypot(*(seen_px - drawn_px @ follows.T).T)
-    best = left <= np.quantile(left, _TRIMMED)
-    if _flatness(drawn_px[best]) < _MIN_RATIO:
-        return np.asarray(follows)
-    return np.asarray(np.linalg.lstsq(drawn_px[best], seen_px[best], rcond=None)[0].T)
+    """(2, 2) seen = this @ drawn: of each two views' matrix, the one that most views fit.
+
+    Then by least squares to the views that fit that one best (least median of squares; Rousseeuw
+    1984).
+    """
+    first, second = np.triu_indices(len(seen_px), 1)
+    drawn, seen = (np.stack([v[first], v[second]], axis=2) for v in (drawn_px, seen_px))
+    usable = np.linalg.cond(drawn) < 1.0 / _MIN_RATIO
+    if usable.any():
+        each = seen[usable] @ np.linalg.inv(drawn[usable])
+        left = np.linalg.norm(seen_px - (each @ drawn_px.T).transpose(0, 2, 1), axis=2)
+        left = left[np.argmin(np.median(left, axis=1))]
+        best = left <= np.quantile(left, _TRIMMED)
+        seen_px, drawn_px = seen_px[best], drawn_px[best]
+    return np.asarray(np.linalg.lstsq(drawn_px, seen_px, rcond=None)[0].T)

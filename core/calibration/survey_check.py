@@ -35,6 +35,7 @@ from core.calibration.joint_fit import (
 from core.calibration.plate_check import plate_problem
 from core.discs.disc_finder import Discs
 from core.discs.disc_mismatch import diameter_ratio
+from core.errors import digits
 from core.geometry.lens import Lens
 from core.images import GreyImage
 from core.rig.rigid import Rig
@@ -65,11 +66,6 @@ _SQUARE, _BOARD_DISTANCE = "target.sub.square_mm", "target.sub.distance_mm"
 def _digits(value: float) -> str:
     """Five digits, written out."""
     return f"{value:.5g}" if abs(value) < 99_999.5 else f"{value:.0f}"
-
-
-def _rounded(value: float) -> str:
-    """Three digits, written out."""
-    return f"{float(f'{value:.3g}'):.10g}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +146,7 @@ class Group:
             f"warning: {_BOARD_DISTANCE} or {_SQUARE} is {abs(first.difference):.1%} off, and "
             f"printers err by {_PRINT_TOLERANCE:.0%} at most; {self.by_hand}; if they are not, "
             f"{_SQUARE} is likely {wanted_mm:.4g}; if they are, {_BOARD_DISTANCE} is likely "
-            f"{_rounded(first.seen)}, and {_SQUARE} is right"
+            f"{digits(first.seen)}, and {_SQUARE} is right"
         )
 
     def _likely(self) -> str:
@@ -178,15 +174,15 @@ class Group:
     def _suggestion(self, key: str, change: float) -> str:
         value, factor = self.values[key], math.exp(change)
         if key == _CENTRES:
-            return f"{key} should likely all be {factor:.3g} times as large"
+            return f"{key} should likely all be {digits(factor)} times as large"
         first = self.quantities[0]
         if first.expected[0] < first.expected[1]:
             low, high = sorted(
                 value * (first.seen / end) ** first.follows[key] for end in first.expected
             )
             low, high = low * math.exp(-first.sigma), high * math.exp(first.sigma)
-            return f"{key} is likely {_rounded(low)} to {_rounded(high)}, not {value:.10g}"
-        return f"{key} is likely about {_rounded(value * factor)}, not {value:.10g}"
+            return f"{key} is likely {digits(low)} to {digits(high)}, not {value:.10g}"
+        return f"{key} is likely about {digits(value * factor)}, not {value:.10g}"
 
 
 def _left_and_change(fit: tuple[float, dict[str, float]]) -> tuple[int, float]:
