@@ -326,14 +326,20 @@ export class RecordFigure {
       for (const panel of this.drawn) if (!panel.inSight) this.drawPanel(panel);
       this.drawLanes();
       history.replaceState(null, "", `#since=${iso(Math.round(this.since))}&until=${iso(Math.round(this.until))}${this.withoutExcluded ? "&excluded=out" : ""}`);
-      this.from.value = timeText(this.since, "day");
-      this.to.value = timeText(this.until - 1, "day");
+      this.showDays([timeText(this.since, "day"), timeText(this.until - 1, "day")]);
       for (const panel of this.panels) panel.describe();
       this.node.dataset.settled = `${iso(this.since)} ${iso(this.until)}`;
     }, SETTLE_MS);
     requestAnimationFrame(() => {
       if (this.isCovered() || !this.panels.length) this.node.dataset.state = "ready";
     });
+  }
+
+  /** The days that are shown; what is being typed in stays where they are the same as before. */
+  showDays(days) {
+    if (String(days) === String(this.days)) return;
+    this.days = days;
+    [this.from.value, this.to.value] = days;
   }
 
   renew() {

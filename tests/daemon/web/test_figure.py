@@ -160,10 +160,19 @@ def test_a_minute_and_ten_years_can_be_shown(visit: Visit, served: Served) -> No
         assert seconds(visit.span()) == pytest.approx(span.total_seconds(), abs=2)
 
 
+DRAWN_AGAIN = """() => new Promise((done) => {
+  const figure = document.querySelector("#figure");
+  new MutationObserver(() => done()).observe(figure, { attributeFilter: ["data-settled"] });
+  document.dispatchEvent(new Event("zone"));
+})"""
+
+
 def test_days_are_typed_in_as_the_site_has_them(visit: Visit, served: Served) -> None:
+    """Also when the figures are drawn again in the middle of it."""
     visit.show(*whole(served))
     first = visit.span()
     visit.page.get_by_label("From", exact=True).fill("2026-03-05")
+    visit.page.evaluate(DRAWN_AGAIN)
     visit.page.get_by_label("to", exact=True).fill("2026-03-05")
     visit.page.get_by_role("button", name="Go").click()
     assert visit.moved(first) == ("2026-03-04T23:00:00Z", "2026-03-05T23:00:00Z")
