@@ -40,7 +40,10 @@ def recognise_discs(image: GreyImage, site: Site) -> Discs:
     try:
         discs = find_discs(image, site.main_target, site.nominal_px_per_mm)
     except TargetNotFoundError as error:
-        raise _why_no_discs(image, site) or error from error
+        why = _why_no_discs(image, site)
+        if why is None:
+            raise
+        raise why from error
     if not discs.found.all():
         _require_no_better_way(image, site)
     return discs
@@ -106,10 +109,13 @@ def recognise_board(image: GreyImage, site: Site) -> LocatedBoard:
     except NotRecognisedError:
         raise
     except TargetNotFoundError as error:
-        if not _shows_discs(image, site):
-            raise _light_error(image, "sub") or error from error
-        msg = f"sub target: the sub image shows the discs, not the board; {_SWAP}"
-        raise NotRecognisedError(msg) from error
+        if _shows_discs(image, site):
+            msg = f"sub target: the sub image shows the discs, not the board; {_SWAP}"
+            raise NotRecognisedError(msg) from error
+        dark = _light_error(image, "sub")
+        if dark is None:
+            raise
+        raise dark from error
 
 
 def recognise_mounted_board(image: GreyImage, site: Site) -> LocatedBoard:

@@ -63,8 +63,8 @@ _DISTANCE, _CENTRES, _DIAMETER = (
 _SQUARE, _BOARD_DISTANCE = "target.sub.square_mm", "target.sub.distance_mm"
 
 
-def _digits(value: float) -> str:
-    """Five digits, written out."""
+def _shown(value: float) -> str:
+    """Five digits at least, written out."""
     return f"{value:.5g}" if abs(value) < 99_999.5 else f"{value:.0f}"
 
 
@@ -97,9 +97,9 @@ class Quantity:
     def sentence(self) -> str:
         """Both values and their distance."""
         low, high = self.expected
-        config = _digits(low) if low == high else f"{_digits(low)} to {_digits(high)}"
+        config = _shown(low) if low == high else f"{_shown(low)} to {_shown(high)}"
         return (
-            f"{self.name}: by the config {config} {self.unit}, by the images {_digits(self.seen)} "
+            f"{self.name}: by the config {config} {self.unit}, by the images {_shown(self.seen)} "
             f"{self.unit}, {abs(self.sigmas):.1f} sigma of {self.sigma:.2%} off"
         )
 
