@@ -291,8 +291,9 @@ def test_a_frame_with_packets_missing_is_refused_and_the_next_one_taken(
 def test_a_late_frame_is_not_taken_for_the_next(
     camera: Camera, process: CameraProcess, images: list[Path]
 ) -> None:
+    """It is late by less than a GigE camera waits for its program, 3 s, in which it is silent."""
     grab(camera)
-    process.command("late 2")
+    process.command("late 1")
     with pytest.raises(FrameTimeoutError):
         grab(camera, timeout_s=0.2)
     assert image_index(grab(camera).pixels, images) == 2
