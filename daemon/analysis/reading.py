@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 
-from daemon.analysis.record import read_record
+from daemon.analysis.record import RecordReader
 from daemon.analysis.study import Asked, Study, study
 from daemon.store.database import Store
 from daemon.store.queries.columns import Tell
@@ -24,12 +24,11 @@ def analyse_store(
     Raises UsageError for unknown names, WorkFailedError without a row, StoreError.
     """
     span = recorded_span(store, since, until)
-    record = read_record(
+    reader = RecordReader(
         store.path,
         *span,
         point=asked.point,
         readings=asked.readings,
         with_excluded=asked.with_excluded,
-        tell=tell,
     )
-    return study(record, asked, span, period_s)
+    return study(reader.read(tell), asked, span, period_s)

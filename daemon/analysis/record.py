@@ -47,31 +47,8 @@ class Record:
     excluded: ExcludedRows
 
 
-def read_record(
-    path: Path,
-    since: datetime,
-    until: datetime,
-    *,
-    point: str = MAIN,
-    readings: Sequence[str] = (),
-    with_excluded: bool = False,
-    tell: Tell = lambda _done, _total: None,
-) -> Record:
-    """Read a point's rows and the readings named; without a name, those in degC.
-
-    What the quality ledger excludes is left out unless `with_excluded`.
-    Raises UsageError for a name that is none, WorkFailedError without any row, StoreError.
-    """
-    reader = RecordReader(
-        path, since, until, point=point, readings=readings, with_excluded=with_excluded
-    )
-    for rows in read_columns(path, since, until, tell):
-        reader.add(rows)
-    return reader.record()
-
-
 class RecordReader:
-    """A point's record, put together of rows as they are read, for whoever reads them anyway."""
+    """A point's record, put together of rows as they are read, here or by somebody else."""
 
     def __init__(
         self,
@@ -83,9 +60,13 @@ class RecordReader:
         readings: Sequence[str] = (),
         with_excluded: bool = False,
     ) -> None:
-        """Look for the point and the readings in the span, as `read_record` does; it may raise."""
+        """Look for the point and the readings named in the span; without a name, those in degC.
+
+        What the quality ledger excludes is left out unless `with_excluded`.
+        Raises UsageError for a name that is none, StoreError.
+        """
         _require_point(path, since, until, point)
-        self._path, self._point = path, point
+        self._path, self._span, self._point = path, (since, until), point
         self._chosen = _channels(path, since, until, readings)
         self._sensors = [sensor for sensor in self._chosen if isinstance(sensor, Sensor)]
         self._exclusion = read_exclusion(path, point, with_excluded=with_excluded)
@@ -106,6 +87,12 @@ class RecordReader:
         ]
         said = np.array(columns, dtype=np.float64).T
         self._said.append(said.reshape(len(rows), len(self._chosen)))
+
+    def read(self, tell: Tell = lambda _done, _total: None) -> Record:
+        """Read the rows. Raises WorkFailedError without any row, StoreError."""
+        for rows in read_columns(self._path, *self._span, tell):
+            self.add(rows)
+        return self.record()
 
     def record(self) -> Record:
         """Give what was taken. Raises WorkFailedError without any row."""
